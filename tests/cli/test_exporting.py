@@ -96,6 +96,23 @@ def test_what_does_not_go_together_is_refused(folder, options, code):
         lc.export(folder / "robot-result", **options)
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        "export nothing --to xyz",
+        "export nothing --to frames --vendor foo",
+        "export nothing --to urdf --offsets foo",
+        "plan nothing --criterion Q",
+        "performance nothing --angles foo",
+    ],
+)
+def test_a_value_that_no_option_takes_is_an_error_of_usage(words):
+    *_, option, value = words.split()
+    done = run(*words.split())
+    assert done.returncode == 2
+    assert f"{option} cannot be {value!r}" in done.stderr
+
+
 def test_counts_are_read_from_the_command_line(folder):
     out = ("--out", "zeros", "--counts", "joint_2=1000")
     done = run("export", "robot-result", "--to", "zeros", *out, cwd=folder)

@@ -47,6 +47,16 @@ def test_every_column_but_the_ids_is_a_sensor(repeats: Path, run: Run) -> None:
     assert document["sensors"][0]["about_mean"]["degrees"] == 48
 
 
+def test_headers_state_units(repeats: Path, run: Run) -> None:
+    rows = (repeats / "a.csv").read_text().split("\n", 1)[1]
+    (repeats / "a.csv").write_text(f"pose,x [mm],y [mm],a [deg],b_rad\n{rows}")
+    document = json.loads(run("noise", "a.csv", "--json").out)
+    assert [s["unit"] for s in document["sensors"]] == ["m", "m", "rad", "rad"]
+    assert document["sensors"][0]["about_mean"]["sd"] < 0.01
+    plain = json.loads(run("noise", "b.csv", "--json").out)
+    assert not any(s["unit"] for s in plain["sensors"])
+
+
 def test_the_loops_of_a_project_tell_joints_from_instrument(repeats: Path, run: Run) -> None:
     done = run("noise", "a.csv", "b.csv", "--project", "project.toml", "--json")
     assert done.code == 0

@@ -30,6 +30,7 @@ def test_a_record_is_written_and_checked(
     page = tmp_path / "arm" / "result" / "record.html"
     assert "Example Works" in page.read_text("utf-8")
     assert main(["record", "--verify", str(page)]) == 0
+    assert main(["record", "--verify", str(page.parent)]) == 0
     assert "unaltered" in capsys.readouterr().out
     project.write_text(project.read_text("utf-8") + "\n", "utf-8")
     assert main(["record", "--verify", str(page), "--json"]) == 4

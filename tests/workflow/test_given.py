@@ -196,3 +196,36 @@ def test_signatures_show_units_and_the_options_below() -> None:
         assert "units" in known
         assert len(known) > 3
         assert "path" in (inspect.getdoc(function) or "")
+
+
+def test_a_table_of_a_projects_columns_is_read_in_their_units(
+    data: lc.Dataset, tmp_path: Path
+) -> None:
+    table = pd.DataFrame(in_degrees(data)).set_axis(["pose", "X", "Y", "first", "second"], axis=1)
+    table.to_csv(tmp_path / "poses.csv", index=False)
+    text = EXAMPLE.read_text()
+    named = {"xP": "X", "yP": "Y", "phi2": "first", "phi3": "second"}
+    for quantity, label in named.items():
+        text = text.replace(f'column = "{quantity}"', f'column = "{label}"')
+    (tmp_path / "project.toml").write_text(text)
+    result = lc.calibrate(tmp_path / "project.toml", method="implicit-loop")
+    result.save(tmp_path / "result", report=False)
+    saved = lc.load(tmp_path / "result")
+    by_file = lc.predict(saved, tmp_path / "poses.csv").outputs["xP"]
+    predicted = saved.predict(table)
+    assert predicted.outputs["xP"] == pytest.approx(by_file, abs=1e-12)
+    assert predicted.poses == data.poses
+    joints = np.column_stack([data["phi2"], data["phi3"]])
+    assert lc.verify(saved, table).calibrated == lc.verify(saved, tmp_path / "poses.csv").calibrated
+    # Radians beyond the calibrated poses are as small as degrees near zero.
+    assert saved.predict(joints + 0.5).outputs["xP"].shape == (100,)
+    with refused("implausible-unit", "units='deg'"):
+        saved.predict(np.degrees(joints))
+
+
+@pytest.mark.parametrize("method", ["auto", "implicit-loop", "least-squares"])
+def test_sds_of_another_number_of_poses_are_refused(
+    project: lc.Project, data: lc.Dataset, method: str
+) -> None:
+    with refused("wrong-shape", "'xP' has 5 entries, the data have 100 poses"):
+        lc.calibrate(project.mechanism, data, noise=NOISE | {"xP": np.ones(5)}, method=method)

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from loopcal.cli.output import print_out
-from loopcal.errors import UsageError
+from loopcal.errors import UsageError, nearest
 from loopcal.files.outputs import force_outputs
 from loopcal.measurements.days import Days
 
@@ -33,6 +33,21 @@ def argument(metavar: str, words: str) -> Any:
 def option(metavar: str, words: str, *names: str, **more: Any) -> Any:
     """An option with a value; names: where that of the parameter does not serve; more: of typer."""
     return typer.Option(*names, metavar=metavar, help=words, **more)
+
+
+def choice(words: str, *values: str, metavar: str = "") -> Any:
+    """An option that takes one of these values; another one is an error of usage."""
+
+    def one_of(option: typer.CallbackParam, value: str | None) -> str | None:
+        if value is not None and value not in values:
+            raise UsageError(
+                f"{option.opts[0]} cannot be {value!r}",
+                code="unknown-name",
+                remedy=nearest(value, values),
+            )
+        return value
+
+    return option(metavar or "|".join(values), words, callback=one_of)
 
 
 def flag(name: str, words: str, **more: Any) -> Any:

@@ -268,6 +268,11 @@ def trace(
 
     Raises TraceError where the function does what a tape cannot hold.
     """
+    if not callable(function):
+        raise TraceError(
+            f"the loops are {function!r:.40}, which is no function",
+            remedy="give a function f(x, p) that returns the loop equations",
+        )
     graph = Graph()
     x_names = [*quantities, *pose_constants]
     leaves = [

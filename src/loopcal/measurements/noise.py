@@ -113,6 +113,12 @@ class Noise:
         more.entries = {**self.entries, key: _checked_entry(key, 0.0)}
         return more
 
+    def refuse_other_poses(self, poses: int) -> None:
+        """Raise InputError where something is stated for another number of poses."""
+        for key, value in self.entries.items():
+            if _by_pose(key, value):
+                _check_length(key, value, poses, value.ndim)
+
     def take(self, index: NDArray[np.intp]) -> Noise:
         """The noise of the poses at these positions."""
         return self._with_poses(lambda key: self.entries[key][index])

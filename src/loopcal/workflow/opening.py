@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from loopcal.errors import InputError
 from loopcal.files.machines.urdf import urdf_machine
 from loopcal.files.recognition.robots import robot_link, urdf_robot
 from loopcal.mechanisms.machine import Machine
@@ -18,6 +20,12 @@ def load(path: str | Path) -> Any:
 
     Raises InputError for anything else, with what reads it.
     """
+    if not isinstance(path, str | PathLike):
+        raise InputError(
+            f"{type(path).__name__} {path!r:.40} is no path",
+            code="invalid-value",
+            remedy="give the folder of a result, or the path of a URDF or a project file",
+        )
     path = Path(path)
     if path.suffix == ".urdf":
         return load_urdf(path)

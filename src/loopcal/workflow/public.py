@@ -122,7 +122,10 @@ def _on_machine(
                 return whole(project)
         inputs = stated(mechanism, data, units)
         chosen = _with_stated(inputs, options, takes)
-        refuse_other_units(inputs.mechanism, inputs.data, Noise.of(chosen.get("noise")))
+        noise = Noise.of(chosen.get("noise"))
+        if noise is not None:
+            noise.refuse_other_poses(len(inputs.data))
+        refuse_other_units(inputs.mechanism, inputs.data, noise)
         with _naming(function, {*takes, *_FIT, *_ROBOT, "units"}):
             output = function(inputs.mechanism, inputs.data, *more, **chosen)
         return _whole(output, **inputs.parts)

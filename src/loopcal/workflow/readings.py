@@ -13,7 +13,12 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.estimation.result import FitResult
 from loopcal.files.cameras.folder import are_images
-from loopcal.files.project.new_readings import read_new_readings, reads
+from loopcal.files.project.new_readings import (
+    read_new_readings,
+    reads,
+    result_columns,
+    result_pose_column,
+)
 from loopcal.files.result.result_poses import poses_of_result
 from loopcal.files.tables.readers import column_labels, read_dataset, read_once
 from loopcal.measurements.checks import refuse_implausible
@@ -29,7 +34,9 @@ Units = Mapping[str, str] | str | None
 Files = str | Path | Sequence[str | Path]
 """A file of readings, or several of one measurement."""
 _NEAR = 0.05
-"""So far [rad] beyond the calibrated poses an array of joints lies among them."""
+"""So far [rad] beyond the calibrated poses an array of joints lies among them at least."""
+_FAR = 1.0
+"""So far [rad] at most; between them the travel of the joint decides."""
 _OF_A_LAYOUT = ("missing-column", "invalid-syntax", "conflicting-keys")
 """Codes of errors in reading a file whose layout is not that of the first day."""
 POSE = "pose"
@@ -133,7 +140,7 @@ def later_readings(result: Any, data: Any, units: Units, *, whole: bool) -> Any:
     folder = getattr(data, "path", None)
     if isinstance(folder, Path):  # of a result
         data = folder
-    if isinstance(data, list | tuple) and _are_files(data):
+    if isinstance(data, list | tuple) and data and _are_files(data):
         if len(data) > 1:
             return new_readings(data, getattr(result, "inputs", {}), mechanism, whole=whole)
         data = first_of(data)
@@ -153,7 +160,9 @@ def _refuse_doubtful(
     """Raise InputError for angles without a unit that lie among the calibrated poses in the other
     one: radians beside a file in degrees, or degrees that the poses in radians do not reach.
 
-    Angles [rad] that are small as degrees as well are taken as SI.
+    Angles [rad] that are small as degrees as well are taken as SI. Poses reach beyond the
+    calibrated ones, and radians are small numbers as degrees: a joint lies among them also as far
+    outside as it travelled.
     """
     poses, quantities = result.poses, result.mechanism.quantities
     angles = {
@@ -164,11 +173,12 @@ def _refuse_doubtful(
         return
 
     def among(of: str) -> bool:
+        ends = {q: (float(np.nanmin(poses[q])), float(np.nanmax(poses[q]))) for q in angles}
+        beyond = {q: min(max(_NEAR, high - low), _FAR) for q, (low, high) in ends.items()}
         return all(
-            np.nanmin(poses[q]) - _NEAR <= to_si(low, of)
-            and to_si(high, of) <= np.nanmax(poses[q]) + _NEAR
+            ends[q][0] - beyond[q] <= to_si(float(np.nanmin(v)), of)
+            and to_si(float(np.nanmax(v)), of) <= ends[q][1] + beyond[q]
             for q, v in angles.items()
-            for low, high in [(float(np.nanmin(v)), float(np.nanmax(v)))]
         )
 
     (taken,) = units
@@ -176,8 +186,10 @@ def _refuse_doubtful(
     if not among(other) or (taken == "rad" and among("rad")):
         return
     raise InputError(
-        f"the joints of an array without units are read in {taken}, as those of the first file; in "
-        f"{other} they lie among the calibrated poses" + (" too" if among(taken) else ""),
+        f"the joints of an array without units are read in {taken}"
+        + (", as those of the first readings" if in_source else "")
+        + f"; in {other} they lie among the calibrated poses"
+        + (" too" if among(taken) else ""),
         code="implausible-unit",
         remedy=f"state their unit: units={other!r} or units={taken!r}",
     )
@@ -206,4 +218,22 @@ def _of_table(result: Any, data: Any, units: Units, *, whole: bool) -> Dataset:
         labels = {str(one["column"]) for one in source["columns"].values()}
         if labels <= {*column_names(data)}:
             return read_new_readings((data,), inputs, mechanism, whole=whole)
+    if units is None and "data" in inputs and not isinstance(data, Dataset):
+        data, units = _by_quantity(data, inputs, mechanism, whole=whole)
     return readings(data, mechanism, units)
+
+
+def _by_quantity(
+    data: Any, inputs: Mapping[str, Any], mechanism: Mechanism, *, whole: bool
+) -> tuple[Any, Units]:
+    """A table under the columns of a project, named by quantity, and its units; any other as it
+    is, and so one whose columns are called as the quantities are, which is in SI."""
+    needless = set() if whole else {*mechanism.outputs, *mechanism.predicting().unused}
+    columns = {q: c for q, c in result_columns(inputs, mechanism).items() if q not in needless}
+    names, labels = {*column_names(data)}, {c.column for c in columns.values()}
+    if not labels <= names or labels <= mechanism.quantities.keys():
+        return data, None
+    pose = result_pose_column(inputs, mechanism)
+    ids = {POSE: data[pose]} if pose in names else {}
+    units = {q: c.unit for q, c in columns.items() if c.unit is not None}
+    return ids | {q: data[c.column] for q, c in columns.items()}, units

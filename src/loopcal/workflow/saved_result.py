@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from loopcal.arrays import Array
-from loopcal.document.fit import ChiSquared
+from loopcal.document.fit import ChiSquared, StatusEntry
 from loopcal.document.result_document import ResultDocument, WrittenResult
 from loopcal.errors import InputError
 from loopcal.files.machines.python_function import Loops, load_function
@@ -73,6 +73,16 @@ class SavedResult(Views):
     def chi_squared(self) -> ChiSquared | None:
         """None where the method or the loss has none."""
         return self.document.chi_squared
+
+    @property
+    def status(self) -> StatusEntry:
+        """How the fit ended."""
+        return self.document.status
+
+    @property
+    def corrections(self) -> Mapping[str, Array]:
+        """Quantity -> (N,) estimated true values minus readings at the poses used [SI]."""
+        return self.source.table.corrections
 
     @property
     def machine(self) -> Mechanism:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -46,6 +47,19 @@ def test_a_parked_joint_is_not_blamed_for_its_unit() -> None:
     start[at] -= 0.5 - 0.5 * np.pi / 180
     faults = column_faults(replace(problem_, start=start))
     assert not any("q4" in fault.words for fault in faults)
+
+
+def test_a_noisy_joint_that_was_held_is_not_blamed_for_its_unit() -> None:
+    """In a smaller unit its noise would be gone, and with it most of the misfit."""
+    project = lc.read_project(Path(__file__).parents[3] / "examples" / "planar" / "project.toml")
+    loaded = lc.load_dataset(project)
+    held = {q: loaded.dataset[q][:10] for q in ("xP", "yP", "phi2", "phi3")}
+    some = build_problem(project.mechanism, lc.Dataset.from_arrays(held), loaded.noise)
+    assert column_faults(some) == ()
+    held["phi2"] = np.degrees(loaded.dataset["phi2"][:10])
+    held["phi3"] = np.degrees(held["phi3"])
+    some = build_problem(project.mechanism, lc.Dataset.from_arrays(held), loaded.noise)
+    assert [fault.code for fault in column_faults(some)] == ["unit"]
 
 
 def test_a_length_a_thousand_times_smaller_makes_no_better_machine() -> None:

@@ -43,3 +43,10 @@ def test_a_clock_that_drifts_is_sized(tmp_path: Path, monkeypatch: pytest.Monkey
     assert abs(made.drift - 1e-3) < 4.0 * made.drift_sd
     assert abs(made.value - 0.037) < 4.0 * made.sd
     assert "the clocks drift apart" in str(made)
+
+
+def test_a_delay_is_shown_to_the_digits_of_its_sd() -> None:
+    assert "is 0.0002 ms (sd 0.0022 ms)" in str(delays.Delay("/tracker", 2.213e-7, 2.2e-6, 39))
+    assert "by -3 ppm of the time (sd 12 ppm)" in str(
+        delays.Delay("/t", 0.037, 1e-5, 9, -3.2e-6, 1.2e-5)
+    )

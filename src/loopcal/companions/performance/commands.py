@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from loopcal.cli.application import ForceOption, JsonOption, app, argument, option, out_option
+from loopcal.cli.application import (
+    ForceOption,
+    JsonOption,
+    app,
+    argument,
+    choice,
+    option,
+    out_option,
+)
 from loopcal.cli.output import print_done
 
 
@@ -25,10 +33,12 @@ def performance(
     ] = None,
     angles: Annotated[
         str | None,
-        option(
-            "rpy|zyx|rotvec",
+        choice(
             "Meaning of columns a, b, c or rx, ry, rz [default: ask on a terminal, refuse "
             "elsewhere].",
+            "rpy",
+            "zyx",
+            "rotvec",
         ),
     ] = None,
     instrument_sd: Annotated[

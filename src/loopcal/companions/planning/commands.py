@@ -12,12 +12,14 @@ from loopcal.cli.application import (
     ProjectArgument,
     PulsesOption,
     app,
+    choice,
     flag,
     numbers_of,
     option,
     out_option,
 )
 from loopcal.cli.output import print_done
+from loopcal.companions.planning.planned import CRITERIA
 from loopcal.companions.robot.programs.registry import WRITTEN
 
 
@@ -35,11 +37,11 @@ def plan(
     ] = None,
     criterion: Annotated[
         str | None,
-        option(
-            "I|G|D|A",
+        choice(
             "Minimise the mean (I) or largest (G) variance of the end point, the determinant "
             "(D) or trace (A) of the covariance of the parameters [default: I, without an end "
             "point D].",
+            *CRITERIA,
         ),
     ] = None,
     existing: Annotated[

@@ -13,7 +13,9 @@ from loopcal.errors import NoTrustworthyResult, UsageError
 def record(
     result: Annotated[
         str,
-        argument("RESULT", "Folder of a calibration; with --verify a record.html or record.xml."),
+        argument(
+            "RESULT", "Folder of a calibration; with --verify also a record.html or record.xml."
+        ),
     ],
     project: Annotated[
         str | None,

@@ -84,8 +84,15 @@ def record(
     calibration is. out: the page, by default record.html in the folder of the result. dcc: also
     write a digital calibration certificate, XML beside the page. schema: a dcc.xsd on the disk that
     this XML must validate against, else nothing is written. Raises InputError for what cannot be
-    read or written, for readings that changed since, and for keys that the certificate needs.
+    read or written, for readings that changed since, for keys that the certificate needs, and for a
+    result that is not saved.
     """
+    if not isinstance(getattr(result, "path", result), str | Path):
+        raise InputError(
+            f"{type(result).__name__} is no folder of a result",
+            code="missing-file",
+            remedy="save it first: lc.record(result.save(folder).folder)",
+        )
     path = Path(getattr(result, "path", result))
     path = path if path.name == "result.json" else path / "result.json"
     saved = read_result(path)

@@ -156,9 +156,11 @@ def sealed(page: str) -> str:
 def check_record(path: str | Path) -> RecordCheck:
     """Check a page or XML that `loopcal record` wrote, and the files that it names.
 
-    Raises InputError for a file that is no such page.
+    path: a file, or the folder of a result with its record.html. Raises InputError for a file that
+    is no such page.
     """
     path = Path(path)
+    path = path / "record.html" if path.is_dir() else path
     content = bytes_of(path, MOST_BYTES)
     text = content[: MOST_BYTES + 1].decode("utf-8", "replace")
     seal, files = _SEAL.search(text), _MANIFEST.search(text)

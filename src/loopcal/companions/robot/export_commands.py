@@ -11,10 +11,12 @@ from loopcal.cli.application import (
     LimbOption,
     ResultArgument,
     app,
+    choice,
     option,
     out_option,
 )
 from loopcal.cli.output import print_done
+from loopcal.companions.robot.export_files import OFFSETS
 from loopcal.companions.robot.exports.registry import EXPORTS
 from loopcal.companions.robot.exports.tables import ORIENTATIONS
 from loopcal.errors import InputError
@@ -25,7 +27,7 @@ def export(
     result: ResultArgument,
     to: Annotated[
         str,
-        option("FORMAT", f"Write this format: {', '.join(EXPORTS)}."),
+        choice(f"Write this format: {', '.join(EXPORTS)}.", *EXPORTS, metavar="FORMAT"),
     ],
     out: Annotated[
         str | None, out_option("FOLDER", "Folder for the files [default: RESULT/export].")
@@ -41,17 +43,19 @@ def export(
     ] = None,
     offsets: Annotated[
         str,
-        option(
-            "PLACE",
+        choice(
             "Put zero offsets of joints into the origins (origin) or into offsets.csv (file).",
+            *OFFSETS,
+            metavar="PLACE",
         ),
     ] = "origin",
     vendor: Annotated[
         str | None,
-        option(
-            "NAME",
+        choice(
             f"Write orientations in the convention of {', '.join(filter(None, ORIENTATIONS))} "
             f"[default: {ORIENTATIONS[''].label}].",
+            *filter(None, ORIENTATIONS),
+            metavar="NAME",
         ),
     ] = None,
     counts: Annotated[

@@ -22,6 +22,10 @@ from loopcal.mechanisms.instruments.orientation import Orientation
 # Chosen, not derived: a joint that wanders less says nothing on its sign or unit.
 PARKED = 0.01
 """A quantity stands still if its readings spread over no more than this share of their size."""
+# Chosen, not derived: chance alone spreads readings by hardly more than twice their sd.
+NOISE = 3.0
+"""In a smaller unit a column that then spreads over no more than so many sds was held still: that
+removes its noise, whatever its unit."""
 # Factors follow from the definitions of the units.
 LENGTHS = (
     (1e-3, "in millimetres, taken as metres"),
@@ -84,7 +88,7 @@ class _Maker:
         self.problem, self.mechanism = problem, problem.mechanism
         self.names = self.mechanism.tape.quantities
         self.unit = [self.mechanism.quantities[name] for name in self.names]
-        sd = np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)
+        self.sd = sd = np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)
         aside = {*self.mechanism.disturbances, *self.mechanism.implied}
         self.real = [
             j
@@ -142,7 +146,11 @@ class _Maker:
             alike += [[j for j in rows if self.unit[j] == unit] for rows in groups]
             for rows in dict.fromkeys(tuple(rows) for rows in alike if rows):
                 be = "is" if len(rows) == 1 else "are"
+                moves = np.nanstd(x[list(rows)], axis=1) / NOISE
+                noise = np.nanmedian(self.sd[list(rows)], axis=1)
                 for ratio, words in ratios:
+                    if ratio < 1.0 and (ratio * moves <= noise).all():
+                        continue
                     sentence = f"{self._listed(rows)} {be} {words}"
                     yield self._changed("unit", sentence, rows, ratio * x[list(rows)])
 
@@ -174,7 +182,7 @@ class _Maker:
 
     def instruments(self) -> Iterator[Repair]:
         """What two instruments of a kind read in each other's place, as of two hands."""
-        sd = np.broadcast_to(self.problem.uncertainty.sd, self.problem.readings.shape)
+        sd = self.sd
         for one, other in combinations(zip(self.families, self.seen, strict=False), 2):
             (first, rows), (second, others) = one, other
             if [self.unit[j] for j in rows] != [self.unit[j] for j in others]:

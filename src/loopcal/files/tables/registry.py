@@ -17,9 +17,15 @@ BY_ENDING = {ending: reader for reader in READERS for ending in reader.endings}
 def reader_of(path: Any) -> Reader:
     """The reader of a file or folder by its name; of others, and of streams, that of text.
 
-    Raises InputError for a relative of a kind of file that is not read.
+    Raises InputError for a relative of a kind of file that is not read, and for what is neither.
     """
     if not isinstance(path, str | Path):
+        if not hasattr(path, "read"):
+            raise InputError(
+                f"{type(path).__name__} is neither the path of a file nor an open stream",
+                code="wrong-file-type",
+                remedy="name a file; write a DataFrame with to_csv first",
+            )
         return TEXT
     path = Path(path)
     if path.is_dir():

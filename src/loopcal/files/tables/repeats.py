@@ -8,8 +8,9 @@ from pathlib import Path
 
 from loopcal.errors import InputError, UsageError
 from loopcal.files.project.project_file import Project
+from loopcal.files.recognition.headers import heading
 from loopcal.files.tables.columns import Column
-from loopcal.files.tables.readers import read_dataset
+from loopcal.files.tables.readers import column_labels, read_dataset, read_once
 from loopcal.measurements.dataset import Dataset
 from loopcal.units import unit
 
@@ -78,7 +79,11 @@ def read_repeats(
 
 
 def _series(file: str | Path, columns: dict[str, Column] | None, pose: str | None) -> Dataset:
-    read = read_dataset(file, columns, pose=pose)
+    source, stated = read_once(file), {}
+    if columns is None:  # units that the headers state
+        headings = {name: heading(name).unit for name in column_labels(source) if name != pose}
+        stated = {name: of for name, of in headings.items() if of is not None}
+    read = read_dataset(source, columns, pose=pose, units=stated)
     aside = [q for q in read.quantities if q.strip().lower() in _IDS]
     if columns is not None or pose is not None or not aside:
         return read

@@ -33,7 +33,7 @@ from loopcal.files.recognition.meanings import Meaning
 from loopcal.files.tables.recording import MARGIN, Recording, Series
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.presentation.shown import significant
+from loopcal.presentation.shown import rounded_by_sd, significant
 from loopcal.units import to_si, unit
 from loopcal.workflow.beginning.searching import Machine, Understood
 
@@ -62,7 +62,7 @@ class Delay:
     drift_sd: float = 0.0
 
     def __str__(self) -> str:
-        value, sd = (significant(1e3 * number, digits) for number, digits in self._shown)
+        value, sd = rounded_by_sd(1e3 * self.value, 1e3 * self.sd), significant(1e3 * self.sd, 2)
         return (
             f"{self.topic}: its delay behind the joints is {value} ms (sd {sd} ms), from "
             f"{self.moves} moves. The readings are taken where it stands, allowing for this delay."
@@ -72,12 +72,9 @@ class Delay:
     def _drifting(self) -> str:
         if self.drift is None:
             return ""
-        value, sd = significant(1e6 * self.drift, 3), significant(1e6 * self.drift_sd, 2)
+        sd = significant(1e6 * self.drift_sd, 2)
+        value = rounded_by_sd(1e6 * self.drift, 1e6 * self.drift_sd)
         return f" It changes by {value} ppm of the time (sd {sd} ppm): the clocks drift apart."
-
-    @property
-    def _shown(self) -> tuple[tuple[float, int], tuple[float, int]]:
-        return (self.value, 4), (self.sd, 2)
 
 
 def delays(
