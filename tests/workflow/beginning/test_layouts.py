@@ -272,6 +272,9 @@ def test_expressions_of_columns() -> None:
     made = joint_columns(columns, "J1 [deg], -J2, J3 + J2 - 90, J4*0.5")
     assert [f.values.tolist() for f in made] == [[0, 1], [-10, -1], [-60, -88], [15, 0.5]]
     assert [f.unit for f in made] == ["deg"] * 4
+    # A factor belongs to its own term.
+    made = joint_columns(columns, "J2+J3*0.5,-J2*1.5-J3*0.5+3")
+    assert [f.values.tolist() for f in made] == [[20, 1.5], [-22, 1]]
     with refused("unknown-name", "J9"):
         joint_columns(columns, "J1,J9")
 

@@ -52,6 +52,8 @@ def computed_column(fields: Sequence[Field], text: str) -> Field | None:
     >>> J = [Field(0, i, heading(f"J{i + 1}"), np.array([10.0 * i])) for i in range(3)]
     >>> computed_column(J, "-J3 + J2 - 90").values
     array([-100.])
+    >>> computed_column(J, "J2 + J3 * 0.5").values
+    array([20.])
     """
     column = _column(fields, text)
     if column is not None:
@@ -64,27 +66,32 @@ def computed_column(fields: Sequence[Field], text: str) -> Field | None:
 
 
 def _sum(fields: Sequence[Field], text: str) -> Field | None:
-    """As far as needed to the right: a last term, or a factor."""
-    column = _column(fields, text)
-    if column is not None:
-        return column
+    """Terms, as far as needed to the right; a factor multiplies its term alone."""
+    term = _term(fields, text)
+    if term is not None:
+        return term
     for i in sorted((i for i, c in enumerate(text) if i and c in "+-"), reverse=True):
-        sign, term = (1.0 if text[i] == "+" else -1.0), text[i + 1 :].strip()
-        other = _column(fields, term)
-        if other is None and not is_number(term):
-            continue
-        rest = _sum(fields, text[:i].strip())
+        sign, last = (1.0 if text[i] == "+" else -1.0), text[i + 1 :].strip()
+        number = is_number(last)
+        other = None if number else _term(fields, last)
+        rest = _sum(fields, text[:i].strip()) if number or other else None
         if rest is not None:
-            added = other.values if other else float(term)
+            added = other.values if other else float(last)
             return replace(rest, values=rest.values + sign * added)
     if text.startswith("-"):
-        rest = _sum(fields, text[1:].strip())
+        rest = _term(fields, text[1:].strip())
         return rest and replace(rest, values=-rest.values)
-    name, _, factor = text.rpartition("*")
-    if name and is_number(factor.strip()):
-        rest = _sum(fields, name.strip())
-        return rest and replace(rest, values=float(factor) * rest.values)
     return None
+
+
+def _term(fields: Sequence[Field], text: str) -> Field | None:
+    """A column, or one with a factor."""
+    column = _column(fields, text)
+    name, _, factor = text.rpartition("*")
+    if column is None and name and is_number(factor.strip()):
+        rest = _term(fields, name.strip())
+        return rest and replace(rest, values=float(factor) * rest.values)
+    return column
 
 
 def _column(fields: Sequence[Field], name: str) -> Field | None:

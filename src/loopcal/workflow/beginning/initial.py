@@ -59,6 +59,7 @@ from loopcal.workflow.beginning.from_samples import from_samples, samples_of
 from loopcal.workflow.beginning.from_tree import dh_table, from_tree, urdf_table
 from loopcal.workflow.beginning.images_project import CORNERS
 from loopcal.workflow.beginning.misfits import left_out
+from loopcal.workflow.beginning.ratios import misstated
 from loopcal.workflow.beginning.robot_file import InitOptions, RobotFile, among, used
 from loopcal.workflow.beginning.searching import (
     CLEARLY,
@@ -302,6 +303,8 @@ def initial_project(
         one = replace(one, conditions=encoders.stated(one.conditions, one.machine))
     made, machine, fields, conditions = one.robot, one.machine, one.fields, one.conditions
     way = understood(machine, one.layouts, fields, ask, one.ways)
+    if not robot.joints and (wrong := misstated(machine, way)):
+        raise wrong
     progress("placing the machine", 70)
     statement = stated(made, machine, fields, way, folder, conditions, First(every, sheet))
     if out is not None:

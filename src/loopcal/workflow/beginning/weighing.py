@@ -13,10 +13,11 @@ drawing better than the machine that another instrument has measured.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.errors import InputError
@@ -51,16 +52,35 @@ _STEP = 1e-6
 @dataclass(frozen=True, eq=False)
 class Refined:
     """bodies: of the machine whose constants fit best, in all poses; rms: [m] per point; cost: the
-    sum of squares that remains [m^2]; count: of coordinates."""
+    sum of squares that remains [m^2]; count: of coordinates.
+
+    multiples: of coupled joints; rows: (N,) the poses that decided; left: (R,) residuals, those of
+    the drawing behind those of the points; derivatives: (R, P) by all that is estimated;
+    by_joints: (3N, n) of the points by the readings of joints.
+    """
 
     bodies: Bodies
     rms: float
     cost: float
     count: int
+    multiples: Array
+    rows: NDArray[np.intp]
+    left: Array
+    derivatives: Array
+    by_joints: Array
 
 
-def refined(machine: Machine, way: Understood, meaning: Meaning) -> Refined | None:
-    """The machine that points of one instrument determine; None for a length, and too few poses."""
+def refined(
+    machine: Machine,
+    way: Understood,
+    meaning: Meaning,
+    coupled: Sequence[tuple[str, str]] = (),
+) -> Refined | None:
+    """The machine that points of one instrument determine; None for a length, and too few poses.
+
+    coupled: pairs of joints, of which the first moves by a multiple of the second too, to be
+    estimated.
+    """
     if meaning.position.ndim != 2 or meaning.fit is None:
         return None
     readable = np.isfinite(meaning.position).all(axis=1) & way.bodies.complete
@@ -73,39 +93,61 @@ def refined(machine: Machine, way: Understood, meaning: Meaning) -> Refined | No
     nominal = {p.name: p.nominal for p in machine.mechanism.parameters}
     sds = np.array([_OFF.get(p.dimension, 1e-3) for p in in_chain])
     measured = meaning.position[rows]
-    joints = {name: q[rows] for name, q in way.joints.items()}
+    few = {name: q[rows] for name, q in way.joints.items()}
 
-    def bodies(offsets: Array, q: dict[str, Array], count: int) -> Bodies:
+    def bodies(at: Array, read: Mapping[str, Array]) -> Bodies:
+        offsets, multiples = at[: len(in_chain)], at[len(in_chain) :]
         moved = {p.name: p.nominal + d for p, d in zip(in_chain, offsets, strict=True)}
-        return bodies_of(ChainFrame(chain, q, nominal | moved), count)
+        q = dict(read)
+        for (name, other), k in zip(coupled, multiples, strict=True):
+            q[name] = q[name] + k * read[other]
+        return bodies_of(ChainFrame(chain, q, nominal | moved), len(next(iter(q.values()))))
 
-    offsets = np.zeros(len(in_chain))
-    weight = _READ / sds
-    left = np.empty(0)
+    at = np.zeros(len(in_chain) + len(coupled))
+    weight = np.concatenate([_READ / sds, np.zeros(len(coupled))])
+    left, A, by_joints = np.empty(0), np.empty((0, 0)), list[Array]()
     try:
         for _ in range(_ROUNDS):
-            now = bodies(offsets, joints, len(rows))
-            placed = see_points(now, measured[None], 1)
-            left, placement = _aligned(now, measured, placed.targets[0])
+            now = bodies(at, few)
+            target = see_points(now, measured[None], 1).targets[0]
+            left, placement = _aligned(now, measured, target)
             columns = [placement]
-            for k in range(len(in_chain)):
-                ahead = offsets + _STEP * np.eye(len(offsets))[k]
-                moved_bodies = bodies(ahead, joints, len(rows))
-                shifted, _ = _aligned(moved_bodies, measured, placed.targets[0])
-                columns.append(((shifted - left) / _STEP)[:, None])
+            for k in range(len(at)):
+                ahead = bodies(at + _STEP * np.eye(len(at))[k], few)
+                columns.append(_derivative(ahead, measured, target, left))
             J = np.hstack(columns)
-            prior = np.hstack([np.zeros((len(offsets), placement.shape[1])), np.diag(weight)])
-            rhs = np.concatenate([-left, -weight * offsets])
-            step = np.linalg.lstsq(np.vstack([J, prior]), rhs, rcond=1e-12)[0]
+            prior = np.hstack([np.zeros((len(at), placement.shape[1])), np.diag(weight)])
+            rhs = np.concatenate([-left, -weight * at])
+            A = np.vstack([J, prior])
+            by_joints = [
+                _derivative(bodies(at, {**few, name: q + _STEP}), measured, target, left)
+                for name, q in few.items()
+            ]
+            step = np.linalg.lstsq(A, rhs, rcond=1e-12)[0]
             left = left + J @ step
-            offsets = offsets + step[placement.shape[1] :]
+            at = at + step[placement.shape[1] :]
     except (InputError, np.linalg.LinAlgError):
         return None
-    every = bodies(offsets, way.joints, len(meaning.position))
-    penalty = float(np.square(weight * offsets).sum())
+    penalty = float(np.square(weight * at).sum())
     squares = float(left @ left)
     rms = float(np.sqrt(3.0 * squares / max(left.size - 9, 1)))
-    return Refined(every, rms, squares + penalty, left.size)
+    return Refined(
+        bodies(at, way.joints),
+        rms,
+        squares + penalty,
+        left.size,
+        at[len(in_chain) :],
+        rows,
+        np.concatenate([left, weight * at]),
+        A,
+        np.hstack(by_joints),
+    )
+
+
+def _derivative(ahead: Bodies, measured: Array, target: Array, left: Array) -> Array:
+    """(3N, 1) how residuals change to those a small step ahead."""
+    shifted: Array = (_aligned(ahead, measured, target)[0] - left)[:, None] / _STEP
+    return shifted
 
 
 def _aligned(bodies: Bodies, measured: Array, target: Array) -> tuple[Array, Array]:
