@@ -70,6 +70,7 @@ from loopcal.statistics.station_scales import by_same_stations
 from loopcal.statistics.verified import Verification
 
 _MIXED = "The update mixes both machines. Calibrate anew, or state the drift that is expected."
+_WITHIN = "Update with the poses before that change alone, or with those after it, or measure again."
 _TWICE = (
     "{poses} of these poses are those of the calibration itself and count twice: the stated sds "
     "are too small. Update with other poses."
@@ -92,7 +93,8 @@ class Updated:
     def mixed(self) -> str | None:
         """Why the update mixes two machines; None where it does not."""
         answer = self.check.verdict["consistent"]
-        return f"{answer.words} {_MIXED}" if answer.passed is False else None
+        remedy = _WITHIN if self.check.shifts.found else _MIXED
+        return f"{answer.words} {remedy}" if answer.passed is False else None
 
 
 def update(
