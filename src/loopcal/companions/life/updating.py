@@ -70,7 +70,7 @@ from loopcal.statistics.station_scales import by_same_stations
 from loopcal.statistics.verified import Verification
 
 _MIXED = "The update mixes both machines. Calibrate anew, or state the drift that is expected."
-_WITHIN = "Update with the poses before that change alone, or with those after it, or measure again."
+_WITHIN = "Update with the poses before that change alone, or those after it, or measure again."
 _TWICE = (
     "{poses} of these poses are those of the calibration itself and count twice: the stated sds "
     "are too small. Update with other poses."
