@@ -13,6 +13,7 @@ from loopcal.estimation.mounted import (
     see_lengths,
     see_points,
     see_poses,
+    two_targets,
 )
 
 N = 60
@@ -86,3 +87,27 @@ def test_the_anchor_and_the_zero_of_a_wire_are_found(bodies: Bodies) -> None:
 def test_coordinates_of_the_machine_itself_are_known(bodies: Bodies) -> None:
     assert origin_rms(bodies, bodies.origins) == 0.0
     assert origin_rms(bodies, bodies.origins @ S.T + t) > 1.0
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_points_of_two_targets_in_turn_are_told_apart(bodies: Bodies, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    targets = np.array([[0.1, -0.2, 0.3], [0.06, -0.17, 0.28]])
+    second = rng.random(N) < 0.35
+    measured = bodies.at(targets[second.astype(int)]) @ S.T + t
+    measured += rng.normal(0.0, 3e-3, measured.shape)  # as a drawing is off
+    measured[3] = np.nan
+    two = two_targets(bodies, measured)
+    assert two is not None
+    second[3] = False
+    assert two.second.tolist() == second.tolist()
+    assert two.apart == pytest.approx(np.linalg.norm(targets[1] - targets[0]), abs=4e-3)
+    assert 3.0 * two.share < see_points(bodies, measured[None]).share
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_two_targets_explain_one_little_better(bodies: Bodies, seed: int) -> None:
+    rng = np.random.default_rng(100 + seed)
+    measured = bodies.at(np.array([0.1, -0.2, 0.3])) @ S.T + t + rng.normal(0.0, 0.02, (N, 3))
+    two = two_targets(bodies, measured)
+    assert two is None or 1.5 * two.share > see_points(bodies, measured[None]).share

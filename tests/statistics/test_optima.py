@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import loopcal as lc
+from loopcal.statistics import optima
 from loopcal.statistics.optima import other_optima
 
 STEPS = np.radians(np.arange(0.0, 91.0, 10.0))
@@ -60,3 +64,21 @@ def test_a_start_at_the_exchange_is_told_that_it_is_not_the_best() -> None:
 def test_good_encoders_leave_one_optimum() -> None:
     good = WEAK | {"phi2": 1e-3}
     assert other_optima(fitted(good, {"*": np.inf}, 0)) == ()
+
+
+def test_an_optimum_of_the_same_parameters_is_not_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A joint of one pose without a reading stands elsewhere; the machine is the same.
+    result = fitted(WEAK, {"*": np.inf}, 0)
+    assert result.chi_squared is not None
+    ended = SimpleNamespace(
+        status=SimpleNamespace(converged=True),
+        parameters=np.array([result.value[n] for n in result.mechanism.parameters.names]),
+        chi_squared=1.05 * result.chi_squared.value,
+    )
+
+    def solve(*_args, **_how) -> SimpleNamespace:
+        return ended
+
+    monkeypatch.setattr(optima, "solve", solve)
+    fit = replace(result.fit, method=replace(result.fit.solver, solve=solve))
+    assert other_optima(replace(result, fit=fit)) == ()

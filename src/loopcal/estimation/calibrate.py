@@ -40,7 +40,7 @@ def calibrate(
     """Calibrate a mechanism by one stated method, by default the implicit loop.
 
     As `loopcal.statistics.calibrate.calibrate`, which also chooses the method. near: the fit begins
-    where one of nearly the same readings ended, which found these corrections (N,) of what no
+    where one of nearly the same readings ended, which found these values (N,) of what no
     sensor reads, so a misfit is no reason to try other starts; trusted: no fault of the file is
     sought.
     """

@@ -47,6 +47,9 @@ _LITTLE, _SLOW = 0.3, 0.98
 less than 2 %."""
 _MOST = 5_000
 """Poses that decide at most: a drawing is off by far more than so many leave open."""
+# Chosen, not derived: each alternation costs one alignment, and few poses determine no target.
+_TURNS, _FEWEST = 100, 8
+"""Alternations that tell two targets apart, and the poses that each must have."""
 _WEAK = 1e-6
 """A direction of the placement that the poses determine so much less than others stays as it is."""
 
@@ -86,8 +89,8 @@ class Bodies:
         return Bodies(self.rotations[which], self.origins[which])
 
     def at(self, targets: Array) -> Array:
-        """(N, 3) the points of the body at one place on it, (3,)."""
-        return self.origins + self.rotations @ targets
+        """(N, 3) the points of the body at one place on it, (3,), or at one for each pose."""
+        return self.origins + (self.rotations @ targets[..., None])[..., 0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,6 +210,57 @@ def _points(
         if np.abs(moved).max() < 1e-7:
             break
     return _Placed.on(bodies, measured, targets)
+
+
+@dataclass(frozen=True, eq=False)
+class TwoTargets:
+    """Points of two targets on one body in turn.
+
+    second: (N,) the points of the fewer, False where nothing was read; apart: between the targets
+    [m]; share: rms of the better nine tenths of what is left, as a share of the spread.
+    """
+
+    second: NDArray[np.bool_]
+    apart: float
+    share: float
+
+
+def two_targets(bodies: Bodies, measured: Array) -> TwoTargets | None:
+    """Points (N, 3) [m] told apart as those of two targets that one station sees.
+
+    In turn each point is taken to the nearer target on the body, each target to the mean of its
+    points there, and the station to where all are aligned best (k-means, Lloyd 1982). None where
+    one of the targets has too few points, or the points do not align.
+    """
+    rows = np.flatnonzero(np.isfinite(measured).all(axis=1) & bodies.complete)
+    some, seen = bodies.take(rows), measured[rows]
+    if len(rows) < 2 * _FEWEST:
+        return None
+    try:
+        placed = _points(some, seen[None], np.zeros((1, 3)))
+        second = np.zeros(len(rows), dtype=np.bool_)
+        for number in range(_TURNS):
+            base = (seen - placed.t) @ placed.S - some.origins
+            on_body = np.einsum("nji,nj->ni", some.rotations, base)
+            if number == 0:
+                about = on_body - np.median(on_body, axis=0)
+                second = about @ np.linalg.svd(about, full_matrices=False)[2][0] > 0.0
+            else:
+                away = np.linalg.norm(on_body[None] - placed.targets[:, None], axis=2)
+                second = away[1] < away[0]
+            if min(second.sum(), (~second).sum()) < _FEWEST:
+                return None
+            targets = np.array([on_body[~second].mean(axis=0), on_body[second].mean(axis=0)])
+            motion = align(some.at(targets[second.astype(np.intp)]).T, seen.T)
+            placed = _Placed(targets, motion.rotation, motion.shift)
+    except InputError:
+        return None
+    left = seen - (some.at(placed.targets[second.astype(np.intp)]) @ placed.S.T + placed.t)
+    fewer = second if 2 * second.sum() <= len(rows) else ~second
+    which = np.zeros(len(measured), dtype=np.bool_)
+    which[rows[fewer]] = True
+    apart = float(np.linalg.norm(placed.targets[1] - placed.targets[0]))
+    return TwoTargets(which, apart, _rms(np.linalg.norm(left, axis=1)) / max(_spread(seen), 1e-12))
 
 
 def see_poses(bodies: Bodies, measured: Array, turns: Array, rounds: int = _ROUNDS) -> Mounted:

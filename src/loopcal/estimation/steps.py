@@ -68,7 +68,7 @@ class State:
     """What is known between two steps.
 
     mechanism, data, noise: what is fitted, in a stream the poses of its first chunk; poses: how
-    many there are in all; whole: these are all poses; near: (N,) corrections of what no sensor
+    many there are in all; whole: these are all poses; near: (N,) values of what no sensor
     reads, where a fit of nearly the same readings found them; trusted: no fault of the file is
     sought; faults: of the file; begun: where the fit begins; end: where it ended; estimate: what it
     learnt of the sds.
@@ -216,10 +216,14 @@ def _fits(state: State, once: Once) -> Callable[..., End[Any]]:
 
 
 def begun_near(problem: Problem, near: Mapping[str, Array]) -> Problem:
-    """The problem, which begins at these corrections (N,) of what no sensor reads."""
-    names = problem.mechanism.tape.quantities
-    zero = np.zeros(problem.count)
-    return replace(problem, first_corrections=np.array([near.get(name, zero) for name in names]))
+    """The problem, which begins at these values (N,) [SI] of what no sensor reads.
+
+    Not at corrections: what stands for a missing reading comes from its neighbours, which differ
+    where poses are left out.
+    """
+    rows = zip(problem.mechanism.tape.quantities, problem.readings, strict=True)
+    first = np.array([near.get(name, row) - row for name, row in rows])
+    return replace(problem, first_corrections=first)
 
 
 def started(

@@ -72,7 +72,7 @@ class Case:
     noise: Noise | None
     fit: Fit
     near: Mapping[str, Array] | None = None
-    """Corrections (N,) of what no sensor reads, where a fit of these readings ended."""
+    """Values (N,) [SI] of what no sensor reads, where a fit of these readings ended."""
     trusted: bool = False
     """Whether faults of the file were sought, and there are none."""
     begin: Begin | None = None

@@ -47,7 +47,8 @@ def other_optima(result: FitResult) -> tuple[OtherOptimum, ...]:
     Sought where an angle is read with an sd of at least VAGUE, or not at all; elsewhere, and for
     other methods and losses, none, and none of images, each of which shows where the whole body
     stands. A machine that states its home states with it the form in which it stands. An optimum
-    with the same chi-squared is the same machine written otherwise, and is not told of.
+    with the same chi-squared is the same machine written otherwise, and is not told of. Nor is one
+    that moves no parameter by 3 sds: a joint of some pose without a reading stands elsewhere.
     """
     usable = result.fit.solver.solve is solve and result.fit.robust_loss is None
     usable = usable and all(family.form != PIXELS for family in result.mechanism.families)
@@ -64,7 +65,9 @@ def other_optima(result: FitResult) -> tuple[OtherOptimum, ...]:
             chi = other.chi_squared
             new = all(abs(chi - value) > _SAME * max(best, 1.0) for value in (best, *optima))
             if other.status.converged and new and chi <= ALIKE * best:
-                optima[chi] = _optimum(result, other.parameters, chi)
+                optimum = _optimum(result, other.parameters, chi)
+                if optimum.parameters:
+                    optima[chi] = optimum
     return tuple(optima[chi] for chi in sorted(optima))
 
 

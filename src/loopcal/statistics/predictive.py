@@ -83,7 +83,7 @@ def held_problem(
 ) -> Held:
     """The poses of a data set at the parameters and sds that a fit of others found.
 
-    near: corrections (N,) from which the search for what no sensor reads begins.
+    near: values (N,) [SI] from which the search for what no sensor reads begins.
     """
     mechanism = fit.mechanism
     data = with_latest(mechanism, data)

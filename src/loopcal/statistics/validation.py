@@ -314,9 +314,13 @@ Outcome = Predicted | Failed
 
 
 def unread(whole: FitResult) -> dict[str, Array]:
-    """Corrections (N,) of what no sensor reads, where a fit ended."""
-    sds = dict(zip(whole.mechanism.tape.quantities, whole.problem.uncertainty.sd, strict=True))
-    return {q: v for q, v in whole.corrections.items() if np.isinf(sds[q]).all()}
+    """Values (N,) [SI] where a fit ended, of quantities that some pose has no reading of."""
+    problem, names = whole.problem, whole.mechanism.tape.quantities
+    return {
+        q: problem.readings[i] + whole.corrections[q]
+        for i, q in enumerate(names)
+        if q in whole.corrections and np.isinf(problem.uncertainty.sd[i]).any()
+    }
 
 
 @dataclass(frozen=True)

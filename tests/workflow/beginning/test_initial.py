@@ -379,6 +379,16 @@ def test_two_targets_are_seen_from_one_station(tmp_path: Path, camera: Any) -> N
     assert "base_x" in made.mechanism.parameters.names
 
 
+def test_two_targets_in_turn_under_one_name_are_told_apart(tmp_path: Path, camera: Any) -> None:
+    joints, T = camera
+    second = np.random.default_rng(5).random(len(T)) < 0.4
+    offset = np.where(second[:, None], [0.1, 0.02, 0.0], 0.0)
+    points = T[:, :3, 3] + np.einsum("nij,nj->ni", T[:, :3, :3], offset)
+    rows = ", ".join(map(str, np.flatnonzero(second) + 1))
+    with refused("implausible-readings", "two targets in turn", f"({rows})"):
+        lc.init({**of(joints, NAMES), **of(points, "xyz")}, dh=dh(tmp_path))
+
+
 def test_another_robot_is_refused_and_shuffled_points_are_named(tmp_path: Path, arm: Any) -> None:
     joints, points = arm
     rng, path = np.random.default_rng(3), dh(tmp_path)

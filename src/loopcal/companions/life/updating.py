@@ -228,7 +228,8 @@ def _fitted(
     begun = begun.with_parameters(begun.parameters.with_prior(sds))
     start = "nominal" if before is None else before.value
     # Where the machine already closes the loops of the new poses; the fit begins there.
-    near = dict(zip(placed.problem.mechanism.tape.quantities, placed.corrections, strict=True))
+    values = placed.problem.readings + placed.corrections
+    near = dict(zip(placed.problem.mechanism.tape.quantities, values, strict=True))
     how = Fit(method=method, start=start, tolerance=LEARNT)
     return calibrate(begun, data, noise=noise, fit=how, near=near, trusted=True)
 

@@ -13,6 +13,7 @@ from loopcal.files.recognition.headers import words
 from loopcal.files.recognition.joins import Fields
 from loopcal.files.recognition.layouts import Layout
 from loopcal.presentation.shown import significant
+from loopcal.workflow.beginning.mixed import mixed_targets
 from loopcal.workflow.beginning.objections import Case, contradiction, objection, shifted
 from loopcal.workflow.beginning.searching import (
     CLEARLY,
@@ -100,6 +101,8 @@ def understood(
     best = ways[0]
     if fields.by_order and (displaced := shifted(case, ways[:1])):
         raise displaced.error()
+    if best.share > USUAL and (two := mixed_targets(best)):
+        raise two
     # Written so that NaN is not plausible either.
     if not best.share <= PLAUSIBLE:
         wrong = objection(case)
