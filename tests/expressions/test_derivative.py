@@ -11,8 +11,9 @@ import pytest
 from hypothesis import given, settings
 from numpy.typing import NDArray
 
-from loopcal.expressions.derivative import linearise
+from loopcal.expressions.derivative import _reverse, linearise
 from loopcal.expressions.engine import NumpyEngine
+from loopcal.expressions.graph import Graph
 from loopcal.expressions.tape import Tape
 from loopcal.expressions.trace import trace
 from loopcal.expressions.vectors import rotate, vector
@@ -169,3 +170,20 @@ def test_the_derivative_of_a_chain_costs_a_few_times_its_value() -> None:
     tape = trace(chain, quantities=("a", *names), parameters=tuple(f"k{i}" for i in range(6)))
     jacobian = linearise(tape, tape.quantities, tape.parameters).tape
     assert len(jacobian.operations) < 3 * 4 * len(tape.operations)  # three sweeps, four times each
+
+
+def test_the_derivative_of_many_loops_costs_as_much_for_each_as_that_of_one() -> None:
+    class Counted(set[int]):
+        asked = 0
+
+        def __contains__(self, node: object) -> bool:
+            Counted.asked += 1
+            return super().__contains__(node)
+
+    graph = Graph()
+    inputs = [graph.leaf("quantity", i) for i in range(100)]
+    loops = [graph.apply("mul", a, graph.apply("sin", a)) for a in inputs]
+    useful = Counted({*range(len(graph.operations))})
+    gradients = [_reverse(graph, loop, inputs, useful) for loop in loops]
+    assert [g[i] != graph.constant(0.0) for i, g in enumerate(gradients)] == [True] * 100
+    assert Counted.asked == 3 * 100  # both factors, and the argument of the sine

@@ -15,6 +15,7 @@ from loopcal.expressions import engine as numpy_engine
 from loopcal.expressions import graph as operations
 from loopcal.expressions.derivative import linearise
 from loopcal.expressions.engine import Engine, NumpyEngine, engine_class, engine_for
+from loopcal.expressions.graph import Graph
 from loopcal.expressions.tape import Tape
 from loopcal.expressions.trace import trace
 from tests.reference.plain_tape import complex_step
@@ -205,3 +206,13 @@ def test_equal_tapes_share_an_engine_and_different_ones_do_not() -> None:
 
     assert engine_for(tape(2.0), (), 8) is engine_for(tape(2.0), (), 8)
     assert engine_for(tape(2.0), (), 8) is not engine_for(tape(3.0), (), 8)
+
+
+def test_an_engine_at_work_outlives_those_of_a_study() -> None:
+    at_work = engine_for(TAPE, ("k",), 8)
+    graph = Graph()
+    for i in range(80):
+        loop = graph.apply("add", graph.leaf("quantity", 0), graph.constant(float(i)))
+        tape = Tape.from_graph(graph, [loop], quantities="a", parameters=(), loops="f")
+        engine_for(tape, (), 8)
+        assert engine_for(TAPE, ("k",), 8) is at_work

@@ -68,6 +68,19 @@ def test_missing_values_of_every_kind_are_NaN():
     np.testing.assert_array_equal(Dataset.from_arrays(listed)["x"], [1.0, np.nan])
 
 
+def test_a_table_with_the_columns_of_an_image_is_gone_through_once():
+    class Counted(dict):
+        gone_through = 0
+
+        def __iter__(self):
+            Counted.gone_through += 1
+            return super().__iter__()
+
+    table = Counted({f"u{i}": [0.0] for i in range(50)})
+    assert len(Dataset.from_arrays(table).readings) == 50
+    assert Counted.gone_through == 1
+
+
 class ArrowLike:
     """What of a pyarrow Table is relied on: names apart from the columns, columns by name."""
 

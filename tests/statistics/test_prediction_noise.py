@@ -134,3 +134,9 @@ def test_an_unmeasured_joint_without_loops_to_find_it_is_refused() -> None:
     result = calibrated(lc.Noise({"?P": 1e-4, "phi?": 1e-3}))
     with refused("missing-reading", "phi3"):
         lc.predict(result, NEW, noise={"phi2": 1e-3, "phi3": np.inf})
+
+
+def test_the_units_of_the_hundreds_of_outputs_of_an_image_are_listed_once() -> None:
+    known = predictor(calibrated(lc.Noise({"?P": 1e-4, "phi?": 1e-3})))
+    assert known is not None
+    assert known.units is known.units

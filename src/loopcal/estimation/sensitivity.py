@@ -46,26 +46,29 @@ def output_sensitivity(
     direct = None if len(determined) > len(outputs) else pixel_loops(mechanism, mechanism.outputs)
     poses, o = x.shape[1], len(outputs)
     by_parameter = np.full((poses, o, len(names)), np.nan)
-    by_reading = np.full((poses, o, len(quantities)), np.nan)
+    free = np.setdiff1d(np.arange(len(quantities)), determined)
+    by_reading = np.zeros((poses, o, len(quantities)))
+    by_reading[:, :, free], rows = np.nan, np.arange(o)
     size = most_poses(mechanism.tape, len(names))
     engine = engine_for(mechanism.tape, tuple(names), min(size, max(poses, 1)))
     for begin in range(0, poses, size):
         part = slice(begin, min(begin + size, poses))
         values = engine.evaluate(parameters, x[:, part], pose_constants[:, part])
-        J_x = values.by_quantity.transpose(2, 1, 0)
+        # Of the hundreds of pixels of an image each is in its own loop alone, with a slope of -1.
+        of_quantities = values.by_quantity if direct is None else values.by_quantity[free]
+        J_x = of_quantities.transpose(2, 1, 0)
         J_p = values.by_parameter.transpose(2, 1, 0)
         good = np.isfinite(J_x).all(axis=(1, 2)) & np.isfinite(J_p).all(axis=(1, 2))
         where = np.flatnonzero(good) + begin
-        if direct is not None:  # the slope of a loop by its own pixel is -1
+        if direct is not None:
             by_parameter[where] = J_p[good][:, direct]
-            by_reading[where] = J_x[good][:, direct]
+            by_reading[np.ix_(where, rows, free)] = J_x[good][:, direct]
             continue
         # There may be more loops than unknowns, which then come nearest in least squares. The
         # outputs are the first o of them.
         solve = -np.linalg.pinv(J_x[good][:, :, determined])[:, :o]
         by_parameter[where] = solve @ J_p[good]
-        by_reading[where] = solve @ J_x[good]
-    by_reading[:, :, determined] = 0.0
+        by_reading[np.ix_(where, rows, free)] = solve @ J_x[good][:, :, free]
     return Sensitivity(by_parameter, by_reading)
 
 

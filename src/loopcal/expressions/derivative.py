@@ -9,10 +9,10 @@ Source of the method: Griewank and Walther, Evaluating Derivatives, 2nd ed. (200
 
 from __future__ import annotations
 
-from bisect import bisect_right
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from heapq import heappop, heappush
 
 from loopcal.expressions.graph import LEAVES, Graph, Node
 from loopcal.expressions.rewriting import TURNS_WRITTEN_OUT, rewritten
@@ -91,22 +91,24 @@ def lagrangian_gradient(tape: Tape) -> Tape:
 
 
 def _reverse(
-    graph: Graph, output: Node, inputs: Sequence[Node], useful: Sequence[Node]
+    graph: Graph, output: Node, inputs: Sequence[Node], useful: Collection[Node]
 ) -> list[Node]:
     """d output / d input for every input: one reverse sweep over what the output needs.
 
-    useful: ascending, the nodes whose value depends on an input.
+    useful: the nodes whose value depends on an input.
     """
     operations, apply = graph.operations, graph.apply
     adjoint: dict[Node, Node] = {output: graph.constant(1.0)}
-    needed = set(useful)
-    for node in reversed(useful[: bisect_right(useful, output)]):
-        bar = adjoint.get(node)
+    # The last first. Of a tape with hundreds of loops, as of an image, each needs a small part.
+    waiting = [-output]
+    while waiting:
+        node = -heappop(waiting)
         name, arguments = operations[node]
-        if bar is None or name in LEAVES:
+        if name in LEAVES:
             continue
+        bar = adjoint[node]
         for position, argument in enumerate(arguments):
-            if argument not in needed:
+            if argument not in useful:
                 continue
             if name == "add":
                 term = bar
@@ -115,18 +117,22 @@ def _reverse(
             else:
                 term = _chain(graph, name, position, arguments, node, bar)
             before = adjoint.get(argument)
-            adjoint[argument] = term if before is None else apply("add", before, term)
+            if before is None:
+                adjoint[argument] = term
+                heappush(waiting, -argument)
+            else:
+                adjoint[argument] = apply("add", before, term)
     zero = graph.constant(0.0)
     return [adjoint.get(node, zero) for node in inputs]
 
 
-def _leading_to(graph: Graph, inputs: Sequence[Node]) -> list[Node]:
-    """Ascending, the nodes whose value depends on an input: no other adjoint is needed."""
+def _leading_to(graph: Graph, inputs: Sequence[Node]) -> set[Node]:
+    """The nodes whose value depends on an input: no other adjoint is needed."""
     useful = set(inputs)
     for node, (name, payload) in enumerate(graph.operations):
         if name not in LEAVES and not useful.isdisjoint(payload):
             useful.add(node)
-    return sorted(useful)
+    return useful
 
 
 def _chain(

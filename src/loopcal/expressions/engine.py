@@ -50,12 +50,13 @@ def engine_for(
     kind = engine_class()
     use_threads()
     key = (kind, tape, parameters, quantities)
-    present = kept.get(key)
+    present = kept.pop(key, None)
     if present is None or present.size < size:
         # Studies make tapes without end; a mechanism at work needs a handful of engines.
         if len(kept) > 32:
-            kept.clear()
-        present = kept[key] = kind(linearise(tape, quantities, parameters), size)
+            del kept[next(iter(kept))]
+        present = kind(linearise(tape, quantities, parameters), size)
+    kept[key] = present  # the last used is the last to go
     return present
 
 

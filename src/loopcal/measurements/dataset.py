@@ -97,7 +97,7 @@ class Dataset:
             numbers.flags.writeable = False  # is kept then, without another copy
             return numbers
 
-        readings = {q: si(q, column(table, q), f"column {q!r}") for q in names}
+        readings = {q: si(q, table[q], f"column {q!r}") for q in names}
         spread = {
             q: si(
                 q,

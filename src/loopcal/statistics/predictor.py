@@ -23,6 +23,7 @@ from loopcal.estimation.products import rows_times
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.estimation.solve.reduction import Spectrum
+from loopcal.lazy import cached_property
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.model_error import disturbances, with_model_error
 from loopcal.mechanisms.outputs import OutputGroup, output_groups
@@ -113,7 +114,7 @@ class Predictor:
     conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     shared: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
-    @property
+    @cached_property
     def units(self) -> dict[str, str]:
         """Output -> SI unit."""
         return {q: self.mechanism.quantities[q] for q in self.mechanism.outputs}
