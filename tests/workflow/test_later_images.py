@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import loopcal as lc
+from loopcal.estimation.calibrate import calibrate
+from loopcal.statistics import later_corners
 from loopcal.statistics.verified import Verification
 from loopcal.workflow.result import write_result
 from tests.mechanisms import test_camera
-from tests.mechanisms.test_camera import POINTS, hands, mechanism, pixels, readings
+from tests.mechanisms.test_camera import POINTS, hands, mechanism, pixels, placed, readings
 from tests.refusals import refused
 from tests.workflow.beginning.test_from_images import written
 
@@ -75,6 +78,49 @@ def test_a_moved_camera_is_named(
     assert "(--anew eye)" in (done.verdict["consistent"].next or "")
     stated = lc.verify(lc.read_result(first), folder, remounted=["eye"])
     assert stated.verdict["consistent"].passed
+
+
+def test_the_shift_of_a_moved_camera_is_that_of_its_centre(
+    first: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, (x, y, z, rz, ry, rx) = placed(test_camera.FAR), test_camera.FAR
+    R = placed((x, y, z, rz, ry + 0.004, rx))[:3, :3]
+    centre = -before[:3, :3].T @ before[:3, 3] + [0.0, 0.002, 0.0]
+    monkeypatch.setattr(test_camera, "FAR", (*(-R @ centre).tolist(), rz, ry + 0.004, rx))
+    done = verified(first, day(tmp_path, 7, 8))
+    assert done.changes is not None
+    (change,) = done.changes.found
+    assert change.low < 0.002 < change.high
+    assert np.linalg.norm(placed(test_camera.FAR)[:3, 3] - before[:3, 3]) > change.high
+
+
+def test_a_pose_of_another_image_among_few_is_named(
+    first: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = spoilt(day(tmp_path, 7, 8), 2)
+    poses = (folder / "robot.csv").read_text("utf-8").splitlines()
+    name, other = poses[3].split(",", 1)[0], poses[6].split(",", 1)[1]
+    poses[3] = f"{name},{other}"
+    (folder / "robot.csv").write_text("\n".join(poses) + "\n", "utf-8")
+    fitted: list[lc.Dataset] = []
+
+    def spy(start: lc.Mechanism, data: lc.Dataset, **options: Any) -> lc.FitResult:
+        fitted.append(data)
+        return calibrate(start, data, **options)
+
+    monkeypatch.setattr(later_corners, "calibrate", spy)
+    with pytest.warns(UserWarning, match="Image 2 does not fit"):
+        done = verified(first, folder)
+    assert len(done.outliers) == 1
+    (data,) = fitted  # single corners are tested without this image, whose closing takes minutes
+    assert (
+        np.isnan(np.array([data[q] for q in data.readings if q.startswith("eye")])).all(0).sum()
+        == 1
+    )
+    assert "Left out 2 of" in "\n".join(done.remarks)
+    assert changes(done) == []
+    assert done.calibrated is not None
+    assert done.calibrated.rms < 3.0 * SD
 
 
 def test_an_update_follows_a_moved_camera_and_its_turn(

@@ -95,15 +95,18 @@ def faults(day: Day, linear: Linearised) -> tuple[ColumnFault, ...]:
 def searched(explained: Explained) -> Run:
     """What happened during the run of a day, beside what changed before it."""
     linear = explained.linear
-    if not searchable(len(linear.placement.problem.poses)):
-        return Run()
     system = _system(linear, explained.columns)
+    if not searchable(len(linear.placement.problem.poses)):
+        return Run(outliers=_outliers(linear, system.fitted()))
     shifts, fit = Search(system, causes=ALONG_A_RUN).run()
     return Run(shifts, _outliers(linear, fit))
 
 
 def _outliers(linear: Linearised, fit: Fitted) -> tuple[int, ...]:
-    """Poses that stand out of the scatter of the others, and of what is stated."""
+    """Poses that stand out of the scatter of the others, and of what is stated.
+
+    Of more than a tenth of all the worst, without which the run is searched again.
+    """
     squares = linear.by_pose()
     stated: Array = tail(np.nan_to_num(squares.squares), np.maximum(squares.loops, 1))
     order, count = fit.system.order, len(fit.system.order)
@@ -114,7 +117,8 @@ def _outliers(linear: Linearised, fit: Fitted) -> tuple[int, ...]:
     few = -0.5 * (spare + 1.0) * np.log1p(-2.0 * logs / spare)
     bad = np.asarray((few < np.log(_LEVEL / count)) & (stated[order] < _LEVEL / count))
     if bad.sum() > max(1.0, _MOST * count):
-        return ()
+        # The worst pose pulls what is placed anew, so that good ones look bad beside it.
+        bad &= few == few[bad].min()
     return tuple(sorted(order[bad].tolist()))
 
 

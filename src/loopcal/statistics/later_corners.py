@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.calibrate import calibrate
@@ -23,11 +24,16 @@ from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import PIXELS
 from loopcal.statistics.another_day import Day, noise_of
 from loopcal.statistics.calibrated import Calibrated
+from loopcal.statistics.replacing import Replaced
 from loopcal.statistics.wrong_corners import wrong_corners
 
 # Chosen, not derived: what `init` states of a robot that says where its flange is.
 _READ = 1e-4
 """sd [m or rad] of readings that the calibration took as exact."""
+
+# Chosen, not derived: a board that slips or a joint's zero that moved spreads less among images.
+_FOREIGN = 30.0
+"""An image that misses by so many times as much as the median one has another image's pose."""
 
 
 def fitting_corners(
@@ -43,15 +49,18 @@ def fitting_corners(
     if not corners:
         return data
     with one_blas_thread():
-        day = Day.of(calibrated, data, noise, remounted)
-        begun = dict(zip(mechanism.parameters.names, day.placed().parameters.tolist(), strict=True))
+        placed = Day.of(calibrated, data, noise, remounted).placed()
+    begun = dict(zip(mechanism.parameters.names, placed.parameters.tolist(), strict=True))
+    foreign = _foreign(placed)
     if noise is None and calibrated.residual is not None:
         exact = dict.fromkeys(mechanism.tape.quantities, _READ)
         sd = math.sqrt(calibrated.residual.value)
         noise = Noise({**exact, **dict.fromkeys(corners, sd)})
     fit, stated = Fit(method="implicit-loop"), noise or noise_of(calibrated)
     whole = replace(data, source=replace(data.source, judged=True))  # copies stay in their places
-    whole = with_latest(mechanism, whole)
+    # An image beside a pose that is not its own tells nothing of its corners.
+    blind = {q: np.where(foreign, np.nan, whole[q]) for q in corners if q in whole.readings}
+    whole = with_latest(mechanism, replace(whole, readings={**whole.readings, **blind}))
     start = replace(mechanism, terms=()).with_nominal(begun)
     try:
         wrong = wrong_corners(calibrate(start, whole, noise=stated, fit=fit, trusted=True))
@@ -69,3 +78,12 @@ def fitting_corners(
     )
     source = replace(data.source, read_as=" ".join(filter(None, [data.source.read_as, words])))
     return replace(data, readings={**data.readings, **left}, source=source)
+
+
+def _foreign(placed: Replaced) -> NDArray[np.bool_]:
+    """(N,) whether an image stands beside a pose that is not its own."""
+    squares = np.zeros(len(placed.problem.poses))
+    for rows in placed.rows:
+        squares[rows.poses] = np.mean(np.square(rows.e), axis=1)
+    seen = squares[squares > 0.0]
+    return squares > _FOREIGN**2 * np.median(seen) if seen.size else squares > 0.0

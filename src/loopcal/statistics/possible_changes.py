@@ -294,10 +294,13 @@ def _tool(problem: Problem, mounted: Sequence[tuple[str, ...]]) -> Possible | No
 def _cameras(problem: Problem) -> Iterator[Possible]:
     """The place of each camera beside the machine, its lens, and the size of each print."""
     parameters = [p for p in problem.mechanism.parameters if p.name in problem.names]
+    whole = _sitting(problem, "placement")
     for eye in dict.fromkeys(p.owner for p in parameters if p.role == "lens"):
         lens_names = {p.name.removeprefix(f"{eye}_"): p.name for p in parameters if p.owner == eye}
         if place := tuple(p.name for p in parameters if p.owner == eye and p.role == "placement"):
-            yield Possible("camera", place, label=eye)
+            # By the way of its centre: where the base stands in the camera also moves by its turn.
+            alone = Possible("camera", place, label=eye)
+            yield _bracket(problem, [eye], "camera", eye) if eye in whole else alone
         if centre := tuple(lens_names[key] for key in ("cx", "cy") if key in lens_names):
             yield Possible("lens", centre, label=f"the principal point of {eye}")
     yield from _focus(problem)
@@ -324,7 +327,7 @@ def _sitting(problem: Problem, role: str) -> list[str]:
     return [eye for eye in eyes if placed.issuperset(f"{eye}_{end}" for end in _PLACE)]
 
 
-def _bracket(problem: Problem, eyes: Sequence[str], kind: str) -> Possible:
+def _bracket(problem: Problem, eyes: Sequence[str], kind: str, label: str = CAMERAS) -> Possible:
     """A rigid motion of these cameras, which one bracket carries, about the middle of them.
 
     A camera beside the machine has T_camera_base = T(t) R, which becomes T_camera_base M^-1 where
@@ -353,7 +356,7 @@ def _bracket(problem: Problem, eyes: Sequence[str], kind: str) -> Possible:
             part += [(f"{eye}_{end}", by) for end, by in zip(_PLACE, moved, strict=True)]
         parts.append(tuple(part))
     names = tuple(f"{eye}_{end}" for eye in eyes for end in _PLACE)
-    return Possible(kind, names, parts=tuple(parts), units=("m",) * 3 + ("rad",) * 3, label=CAMERAS)
+    return Possible(kind, names, parts=tuple(parts), units=("m",) * 3 + ("rad",) * 3, label=label)
 
 
 def _turn(axis: int, angle: float) -> Array:
