@@ -6,7 +6,7 @@ import json
 import pydoc
 from collections.abc import Callable
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
@@ -165,7 +165,7 @@ MISSES: dict[str, tuple[Call, type[Exception], str]] = {
     "lc.performance(df)": (lambda m: lc.performance(m.df), lc.InputError, "to_csv"),
     "result.predict([])": (lambda m: m.result.predict([]), lc.InputError, "(N, 6) numbers"),
     "from_function(number)": (
-        lambda m: lc.Mechanism.from_function(*[5], {"x": "m"}, {"a": (0.0, "m")}),
+        lambda m: lc.Mechanism.from_function(cast(Any, 5), {"x": "m"}, {"a": (0.0, "m")}),
         lc.InputError,
         "a function f(x, p)",
     ),

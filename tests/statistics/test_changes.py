@@ -14,7 +14,7 @@ import loopcal as lc
 from loopcal.document.change_points import NOT_SEARCHED
 from loopcal.files.result import result_file
 from loopcal.statistics import choice
-from loopcal.statistics.case import Case, Entrant
+from loopcal.statistics.case import Case, Entrant, entrants
 from loopcal.statistics.changes import CERTAIN, NUMBER, Changes, changes, unchanged
 from loopcal.statistics.choice import choose
 from loopcal.statistics.continued import Ending, continued
@@ -134,7 +134,7 @@ def test_without_outliers_a_fit_begins_where_the_one_before_it_ended(
         return calibrated(self, *given, **options)
 
     case = Case(ARM, slipped(), None, lc.Fit(method="auto"))
-    (one,) = (e for e in choice.entrants(case) if e.structured and e.case.fit.method.exact)
+    (one,) = (e for e in entrants(case) if e.structured and e.case.fit.method.exact)
     whole = one.case.calibrated()
     monkeypatch.setattr(Case, "calibrated", recorded)
     what = changes(case, one.case.fit, whole)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -76,7 +77,7 @@ def test_an_optimum_of_the_same_parameters_is_not_told_of(monkeypatch: pytest.Mo
         chi_squared=1.05 * result.chi_squared.value,
     )
 
-    def solve(*_args, **_how) -> SimpleNamespace:
+    def solve(*_args: Any, **_how: Any) -> Any:
         return ended
 
     monkeypatch.setattr(optima, "solve", solve)

@@ -105,7 +105,8 @@ def searched(explained: Explained) -> Run:
 def _outliers(linear: Linearised, fit: Fitted) -> tuple[int, ...]:
     """Poses that stand out of the scatter of the others, and of what is stated.
 
-    Of more than a tenth of all the worst, without which the run is searched again.
+    More than a tenth of all are none; but of so few poses that one is the most, the worst may be,
+    without which the run is searched again.
     """
     squares = linear.by_pose()
     stated: Array = tail(np.nan_to_num(squares.squares), np.maximum(squares.loops, 1))
@@ -116,7 +117,10 @@ def _outliers(linear: Linearised, fit: Fitted) -> tuple[int, ...]:
         logs = np.log(fit.p_values)
     few = -0.5 * (spare + 1.0) * np.log1p(-2.0 * logs / spare)
     bad = np.asarray((few < np.log(_LEVEL / count)) & (stated[order] < _LEVEL / count))
-    if bad.sum() > max(1.0, _MOST * count):
+    most = max(1.0, _MOST * count)
+    if bad.sum() > most > 1.0:
+        return ()
+    if bad.sum() > most:
         # The worst pose pulls what is placed anew, so that good ones look bad beside it.
         bad &= few == few[bad].min()
     return tuple(sorted(order[bad].tolist()))
