@@ -33,6 +33,6 @@ def mixed_targets(way: Understood) -> InputError | None:
             f"nominal machine misses the readings by {significant(100.0 * two.share, 2)} % of "
             f"their spread, and by {significant(100.0 * meaning.share, 2)} % as of one target",
             code="implausible-readings",
-            remedy="write the rows of each target to a file of its own, and begin with one of them",
+            remedy="write the rows of each target to a separate file, and begin with one of them",
         )
     return None

@@ -54,7 +54,7 @@ def misstated(machine: Machine, way: Understood) -> InputError | None:
 
 
 def _share(way: Understood, pair: tuple[str, str], k: float) -> float:
-    """By what share of its own travel the ratio moves a joint."""
+    """The sd of what the ratio adds to a joint, as a share of the sd of that joint."""
     moved, by = (float(np.nanstd(way.joints[name])) for name in pair)
     return abs(k) * by / moved if moved else 0.0
 

@@ -105,27 +105,27 @@ def refined(
 
     at = np.zeros(len(in_chain) + len(coupled))
     weight = np.concatenate([_READ / sds, np.zeros(len(coupled))])
-    left, A, by_joints = np.empty(0), np.empty((0, 0)), list[Array]()
+    left, A = np.empty(0), np.empty((0, 0))
     try:
         for _ in range(_ROUNDS):
-            now = bodies(at, few)
+            begun, now = at, bodies(at, few)
             target = see_points(now, measured[None], 1).targets[0]
-            left, placement = _aligned(now, measured, target)
+            missed, placement = _aligned(now, measured, target)
             columns = [placement]
             for k in range(len(at)):
                 ahead = bodies(at + _STEP * np.eye(len(at))[k], few)
-                columns.append(_derivative(ahead, measured, target, left))
+                columns.append(_derivative(ahead, measured, target, missed))
             J = np.hstack(columns)
             prior = np.hstack([np.zeros((len(at), placement.shape[1])), np.diag(weight)])
-            rhs = np.concatenate([-left, -weight * at])
+            rhs = np.concatenate([-missed, -weight * at])
             A = np.vstack([J, prior])
-            by_joints = [
-                _derivative(bodies(at, {**few, name: q + _STEP}), measured, target, left)
-                for name, q in few.items()
-            ]
             step = np.linalg.lstsq(A, rhs, rcond=1e-12)[0]
-            left = left + J @ step
+            left = missed + J @ step
             at = at + step[placement.shape[1] :]
+        by_joints = [
+            _derivative(bodies(begun, {**few, name: q + _STEP}), measured, target, missed)
+            for name, q in few.items()
+        ]
     except (InputError, np.linalg.LinAlgError):
         return None
     penalty = float(np.square(weight * at).sum())
@@ -144,9 +144,9 @@ def refined(
     )
 
 
-def _derivative(ahead: Bodies, measured: Array, target: Array, left: Array) -> Array:
-    """(3N, 1) how residuals change to those a small step ahead."""
-    shifted: Array = (_aligned(ahead, measured, target)[0] - left)[:, None] / _STEP
+def _derivative(ahead: Bodies, measured: Array, target: Array, missed: Array) -> Array:
+    """(3N, 1) how residuals, here `missed`, change to those a small step ahead."""
+    shifted: Array = (_aligned(ahead, measured, target)[0] - missed)[:, None] / _STEP
     return shifted
 
 
