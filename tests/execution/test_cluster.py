@@ -206,6 +206,31 @@ def test_a_scheduler_that_is_gone_is_not_asked(
         gathered(Cluster(cluster.address), pieces.scaled, 1.0, [1.0, 2.0], lose)
 
 
+def test_a_connection_that_ends_twice_hides_no_error(
+    cluster: DaskCluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Dask's close raises where a connection is ended that is ending already."""
+    from distributed.core import ConnectionPool
+
+    cluster.start_workers("")
+    closed = ConnectionPool.close
+    calls: list[ConnectionPool] = []
+
+    async def close(pool: ConnectionPool) -> None:
+        calls.append(pool)
+        if len(calls) == 1:
+            raise RuntimeError("Cannot change state of expiring Timeout")
+        await closed(pool)
+
+    def lose(done: int, of: int) -> None:
+        cluster.scheduler.kill()
+
+    monkeypatch.setattr(ConnectionPool, "close", close)
+    with refused("no-scheduler", "connection"):
+        gathered(Cluster(cluster.address), pieces.scaled, 1.0, [1.0, 2.0, 3.0], lose)
+    assert len(calls) > 1
+
+
 def test_workers_must_be_as_we_are(cluster: DaskCluster) -> None:
     executor = Cluster(cluster.address)
     assert executor.ready().startswith("waiting for the first worker")

@@ -93,8 +93,20 @@ class Cluster(Executor):
         try:
             yield client
         finally:
-            client.close()
+            _close(client)
             log.setLevel(level)
+
+
+def _close(client: Any) -> None:
+    """Close a client, also one that was about to connect to a scheduler that is gone.
+
+    Dask ends such a connection in two places; where both do, its close raises, and a second close
+    meets no connection any more.
+    """
+    try:
+        client.close()
+    except RuntimeError:
+        client.close()
 
 
 def versions() -> dict[str, str]:
