@@ -169,3 +169,34 @@ def test_what_the_machine_explains_of_a_column_leaves_a_positive_square() -> Non
     exact = np.linalg.lstsq(A, columns, rcond=None)[0]
     assert (np.linalg.eigvalsh(G) > 0.0).all()
     assert np.diag(G) == pytest.approx(np.square(exact).sum(axis=0), rel=1e-4)
+
+
+def test_searches_of_a_day_begin_where_the_first_one_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No points say where a wire's anchor stands: a few random starts are for the day, not for
+    every candidate."""
+    given = setup("six-axis draw-wire")
+    known = calibrated(given.truth)
+    driven = {q: v[:12] for q, v in given.driven.items()}
+    start = {q: v[:12] if np.ndim(v) else v for q, v in given.start.items()}
+    exact = lc.simulate(known.mechanism, driven, noise=EXACT, seed=0, start=start).dataset
+    rows = {q: v for q, v in exact.readings.items() if q not in given.unread}
+    reading = next(q for q in rows if q not in driven)
+    far = lc.Dataset.from_arrays(rows | {reading: rows[reading] + 100.0})
+    searches: list[int] = []
+    lowest = _Search.lowest
+
+    def counted(self: _Search, *args: Any) -> Replaced:
+        searches.append(1)
+        return lowest(self, *args)
+
+    monkeypatch.setattr(_Search, "lowest", counted)
+    places: list[int] = []
+
+    def placings(*args: Any, **how: Any) -> Replaced:
+        places.append(1)
+        return replaced(*args, **how)
+
+    monkeypatch.setattr(another_day, "replaced", placings)
+    found = lc.verify(known, far, noise=noise_of(known.mechanism, rows))
+    assert found.verdict["consistent"].passed is False
+    assert len(searches) <= 3 * len(places) + 10

@@ -105,6 +105,16 @@ class Day:
             components=components,
         )
 
+    def near(self, placement: Replaced) -> Day:
+        """The day whose next searches may begin at this placement, where neither points nor images
+        say what begins them."""
+        standing = {n for f in self.problem.mechanism.families if not f.placement for n in f.standing}
+        if self.places or standing.isdisjoint(self.freed):
+            return self
+        names = self.problem.mechanism.parameters.names
+        values = dict(zip(names, placement.parameters.tolist(), strict=True))
+        return replace(self, places={name: values[name] for name in self.freed})
+
     def linearised(self, changes: Mapping[str, float] = {}) -> Linearised:
         """The equations of the held machine where it is placed anew after these changes."""
         placement = self.placed(changes)

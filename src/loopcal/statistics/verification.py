@@ -133,6 +133,7 @@ def check_tolerance(tolerance: float | None) -> None:
 
 def _verified(day: Day, tolerance: float | None, copied: int, repeated: int) -> Verification:
     linear, problem = day.linearised(), day.problem
+    day = day.near(linear.placement)
     columns = faults(day, linear)
     changes, run = (None, Run()) if columns else _searched(day, linear)
     # Poses that do not fit the others say nothing of the machine, but a tolerance counts them.
