@@ -108,7 +108,8 @@ class Day:
     def near(self, placement: Replaced) -> Day:
         """The day whose next searches may begin at this placement, where neither points nor images
         say what begins them."""
-        standing = {n for f in self.problem.mechanism.families if not f.placement for n in f.standing}
+        families = self.problem.mechanism.families
+        standing = {n for f in families if f.placement is None for n in f.standing}
         if self.places or standing.isdisjoint(self.freed):
             return self
         names = self.problem.mechanism.parameters.names
