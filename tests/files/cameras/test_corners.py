@@ -106,6 +106,7 @@ def test_tables_of_corners_are_told_from_points() -> None:
     assert not is_corners(("pose", "x", "y", "z"))
     assert not is_corners(("board", "point", "x_m", "y_m", "z_m"))
     assert not is_corners(("J1", "J2", "x", "y"))
+    assert not is_corners(("J1", *(f"SMR{i}.{axis}" for i in (1, 2, 3) for axis in "XYZ")))
 
 
 @pytest.mark.parametrize(

@@ -36,6 +36,9 @@ from tests.refusals import refused
         ("L", "l", None),
         ("u_x [µm]", "u_x", "um"),
         ("point x", "point_x", None),
+        ("time_s", "time", "s"),
+        ("timestamp_us", "timestamp", "us"),
+        ("joint_s", "joint_s", None),
     ],
 )
 def test_a_header_is_a_name_and_a_unit(text: str, stem: str, unit: str | None) -> None:

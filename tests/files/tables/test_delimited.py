@@ -41,7 +41,9 @@ def written_tables(draw):
     rows = [(float(i), *row) for i, row in enumerate(values, 1)]
     delimiter = draw(st.sampled_from([",", ";", "\t", " ", "   "]))
     decimal = "." if delimiter == "," else draw(st.sampled_from(".,"))
-    missing = draw(st.sampled_from(["NaN", "nan", "NA", "n/a", "null", "#N/A", "-"]))
+    missing = draw(
+        st.sampled_from(["NaN", "nan", "NA", "n/a", "null", "#N/A", "-", "---", "failed"])
+    )
     quote = draw(st.sampled_from(["", '"'])) if delimiter == "," else ""
     padding = draw(st.sampled_from(["", " "])) if not quote else ""
 

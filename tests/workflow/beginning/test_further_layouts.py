@@ -81,6 +81,30 @@ def structs(w: World, folder: Path) -> list[str]:
     return ["data.mat"]
 
 
+def structs_in_a_struct(w: World, folder: Path) -> list[str]:
+    data = {"robot": {"q": w.read, "serial": "A7"}, "tracker": {"xyz": w.points, "height": 1.2}}
+    savemat(folder / "data.mat", {"data": data, "version": 3.0})
+    return ["data.mat"]
+
+
+def expanded_uncertainties(w: World, folder: Path) -> list[str]:
+    far = np.linspace(50.0, 56.0, len(w.q))
+    sds = {
+        f"U{a}95_um": values for a, values in zip("xyz", (far, 0.0 * far + 40.0, far), strict=True)
+    }
+    steady = {f"quality_{a}": 0.0 * far + 1.0 for a in "xyz"}
+    columns = {**joints(w), **xyz("{}", w.points, "XYZ"), **sds, **steady}
+    return [written(folder / "a.csv", columns)]
+
+
+def a_header_again(w: World, folder: Path) -> list[str]:
+    name = written(folder / "a.csv", {**joints(w), **xyz("{}", w.points, "XYZ")})
+    head, *rows = (folder / name).read_text("utf-8").splitlines()
+    lines = ["Run 7", "", head, *rows[:9], "", "# a break", head, *rows[9:]]
+    (folder / name).write_text("\n".join(lines) + "\n", "utf-8")
+    return [name]
+
+
 def commanded_ahead(w: World, folder: Path) -> list[str]:
     command = {"Name": ids(w, "p{}"), **joints(w, values=w.command)}
     written(folder / "a.csv", command)
@@ -126,6 +150,9 @@ def matrices_below_each_other(w: World, folder: Path) -> list[str]:
         a_file_per_column,
         unit_vectors,
         structs,
+        structs_in_a_struct,
+        expanded_uncertainties,
+        a_header_again,
     ],
 )
 def test_what_was_measured_is_read(tmp_path: Path, maker: Maker) -> None:

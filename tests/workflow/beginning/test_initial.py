@@ -549,13 +549,16 @@ def test_matrices_column_by_column(tmp_path: Path, camera: Any, header: bool) ->
     assert made.rms < 1e-3
 
 
-def test_a_total_station_counts_clockwise_and_from_the_zenith(tmp_path: Path, arm: Any) -> None:
+@pytest.mark.parametrize("names", ["range hz v", "SD HA VA"])
+def test_a_total_station_counts_clockwise_and_from_the_zenith(
+    tmp_path: Path, arm: Any, names: str
+) -> None:
     joints, points = arm
-    far = np.linalg.norm(points, axis=1)
+    far, (distance, turn, rise) = np.linalg.norm(points, axis=1), names.split()
     columns = {
-        "range [m]": far,
-        "hz [gon]": -np.arctan2(points[:, 1], points[:, 0]) * 200.0 / np.pi,
-        "v [gon]": 100.0 - np.arcsin(points[:, 2] / far) * 200.0 / np.pi,
+        f"{distance} [m]": far,
+        f"{turn} [gon]": -np.arctan2(points[:, 1], points[:, 0]) * 200.0 / np.pi,
+        f"{rise} [gon]": 100.0 - np.arcsin(points[:, 2] / far) * 200.0 / np.pi,
     }
     path = table(tmp_path / "a.csv", {**of(joints, NAMES), **columns})
     made = lc.init(path, dh=dh(tmp_path), out=tmp_path / "out")

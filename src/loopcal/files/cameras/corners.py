@@ -31,9 +31,9 @@ _HEAD = 4096
 """Bytes of a file in which the comments above its header stand."""
 _PIXELS = re.compile(r"_(?:px|pix|pixels?)$")
 _WIDE = (
-    re.compile(r"(?P<axis>[uvxy])_?(?P<point>\d+(?:_\d+)?)"),
-    re.compile(r"(?:[a-z]+_?)?(?P<point>\d+(?:_\d+)?)_?(?P<axis>[uvxy])"),
-    re.compile(r"[a-z]+_(?P<axis>[uvxy])_?(?P<point>\d+(?:_\d+)?)"),
+    re.compile(r"(?P<axis>[uvxyz])_?(?P<point>\d+(?:_\d+)?)"),
+    re.compile(r"(?:[a-z]+_?)?(?P<point>\d+(?:_\d+)?)_?(?P<axis>[uvxyz])"),
+    re.compile(r"[a-z]+_(?P<axis>[uvxyz])_?(?P<point>\d+(?:_\d+)?)"),
 )
 _CAMERA = re.compile(
     r"(?:^|[-_. ])(?P<camera>cam(?:era)?[-_]?\d+|left|right)(?=$|[-_. ])", re.IGNORECASE
@@ -189,14 +189,14 @@ def split_name(name: str) -> tuple[str, str]:
 
 
 def _wide_columns(stems: Sequence[str]) -> dict[str, dict[str, int]]:
-    """Point -> axis "u" or "v" -> position of the column, of points that have both."""
+    """Point -> axis "u" or "v" -> position of the column, of points that have both and no z."""
     columns: dict[str, dict[str, int]] = {}
     for i, stem in enumerate(stems):
         match = next((m for one in _WIDE if (m := one.fullmatch(stem))), None)
         if match:
             axis = {"x": "u", "y": "v"}.get(match["axis"], match["axis"])
             columns.setdefault(match["point"].replace("_", "."), {})[axis] = i
-    return {point: axes for point, axes in columns.items() if len(axes) == 2}
+    return {point: axes for point, axes in columns.items() if {*axes} == {"u", "v"}}
 
 
 def _wide(

@@ -184,7 +184,10 @@ def _frame(rows: Sequence[Row], decimal: str) -> _Frame | None:
     if begins is None:
         return None
     last = alike[-1]
-    body = [i for i in range(begins, last + 1) if not _blank(rows[i])]
+    above = {tuple(row) for row in rows[:begins]}  # a header may stand again among the readings
+    body = [
+        i for i in range(begins, last + 1) if not _blank(rows[i]) and tuple(rows[i]) not in above
+    ]
     if len(body) < _FEWEST or any(len(rows[i]) != width for i in body):
         return None
     header = _header(rows[:begins], width, decimal)

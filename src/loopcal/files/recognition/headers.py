@@ -111,7 +111,10 @@ def heading(text: str, spoken: Mapping[str, str] = MappingProxyType({})) -> Head
         if stated.strip().casefold() in words("open", "angle"):
             return Heading(text, stem(name_part))
     parts = stem(name).split("_")
-    if len(parts) > 1 and parts[-1] in _SPOKEN and parts[-1] not in ("s", "ms"):
+    # Joints may be called s: these are units of times alone.
+    timed = parts[-1] in ("s", "ms", "us", "ns")
+    fits = not timed or "_".join(parts[:-1]) in words("columns", "time")
+    if len(parts) > 1 and parts[-1] in _SPOKEN and fits:
         unit = _unit(parts[-1])
         parts = parts[:-1]
         if len(parts) > 1 and parts[-1] == "in":
@@ -134,6 +137,19 @@ def sd_of(name: str, names: Container[str]) -> str | None:
         if match and match["of"] in names and match["of"] != name:
             return match["of"]
     return None
+
+
+_EXPANDED = re.compile(r"_?(?:95|k_?2|exp|expanded|2_?s(?:igma)?)(?=_|$)")
+
+
+def expanded(name: str, names: Container[str]) -> bool:
+    """Whether a name is that of the expanded uncertainty of one of these.
+
+    >>> expanded("ux95", {"x", "y"}), expanded("u_x_k2", {"x"}), expanded("x95", {"x"})
+    (True, True, False)
+    """
+    whole = _EXPANDED.sub("", name)
+    return whole != name and sd_of(whole, names) is not None
 
 
 def _in_brackets(name: str) -> tuple[str, str]:

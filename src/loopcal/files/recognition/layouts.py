@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError
 from loopcal.files.recognition.fields import STATIONS, Field, moving, unnamed
-from loopcal.files.recognition.headers import sd_of, words
+from loopcal.files.recognition.headers import expanded, sd_of, words
 from loopcal.files.recognition.joint_sets import (
     NUMBERED,
     UNIT_NORM,
@@ -354,6 +354,7 @@ def instruments(fields: Sequence[Field]) -> tuple[Seen, ...]:
     rest = [f for f in fields if id(f) not in aside]
     triples = list(_triples(rest))
     points = [t for word, t in triples if not _of_something_else(word, t, by_stem)]
+    points = [t for t in points if len(moving(t)) > 1] or points
     seen: list[Seen] = []
     if form == "matrix" and not (position or points):  # such as t1, t2, t3 behind it
         behind = [f for f in rest if f.table == turned[0].table]
@@ -410,7 +411,7 @@ def _of_something_else(word: str, triple: tuple[Field, ...], by_stem: dict[str, 
     """Whether these are sds of other columns, velocities, forces, or what a controller computed."""
     if word in _UNMEASURED or word.split("_")[0] in _UNMEASURED:
         return True
-    return all(sd_of(f.stem, by_stem) is not None for f in triple)
+    return all(sd_of(f.stem, by_stem) or expanded(f.stem, by_stem) for f in triple)
 
 
 def _sds(position: Sequence[Field], fields: Sequence[Field]) -> tuple[Field, ...]:

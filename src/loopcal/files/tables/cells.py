@@ -3,8 +3,8 @@
 A number is an optional sign, digits with at most one decimal mark, and an optional exponent. Groups
 of thousands are read where they are certain: the cell has the decimal mark too ("1,234.5"), several
 groups, or blanks or apostrophes between them; a cell such as "1,234" only where others of its
-column are so. A cell that is blank or says NaN, NA, n/a, #N/A, null, none or - (in any case of
-letters) is missing and becomes NaN.
+column are so. A cell that is blank or says NaN, NA, n/a, #N/A, null, none, missing, failed, invalid
+or dashes (in any case of letters) is missing and becomes NaN; so does an error of a spreadsheet.
 """
 
 from __future__ import annotations
@@ -23,7 +23,13 @@ if TYPE_CHECKING:
 
 Cells: TypeAlias = "list[object] | list[str] | NDArray[np.float64] | pl.Series"
 
-MISSING = frozenset(("", "nan", "+nan", "-nan", "na", "n/a", "#n/a", "null", "none", "-"))
+MISSING = frozenset(
+    (
+        *("", "nan", "+nan", "-nan", "na", "n/a", "n.a.", "#n/a", "null", "none", "nil"),
+        *("missing", "failed", "invalid", "#value!", "#div/0!", "#ref!", "#num!"),
+        *("-", "--", "---", "----", "\u2013", "\u2014"),
+    )
+)
 # Possessive: a long cell cannot make the match back out (docs/decisions/0137).
 _FORM = r"[+-]?(?:\d++MARK?\d*+|MARK\d++)(?:[eE][+-]?\d++)?"
 _NUMBER = {mark: re.compile(_FORM.replace("MARK", f"[{mark}]"), re.ASCII) for mark in ".,"}

@@ -1,7 +1,8 @@
 """Variables of a MATLAB file (format 4 to 7, not 7.3) as a table.
 
 Three habits are read: a numeric matrix, its columns by number; vectors and matrices by their names;
-a struct whose fields are such, or an array of structs with numbers or a text per field.
+a struct whose fields are such, also structs in it or beside others, or an array of structs with
+numbers or a text per field.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ def read_matlab(
         raise unknown_name(f"there is no variable {variable!r}", variable, variables, path.name)
     chosen = variable or (next(iter(variables)) if len(variables) == 1 else None)
     if chosen is None:
-        return _from_arrays(variables, path, None, wanted)
+        return _from_arrays(_flat(variables), path, None, wanted)
     value, part = variables[chosen], f"variable {chosen!r}"
     name = file_name(path.name, part)
     if value.dtype.names:
@@ -91,7 +92,7 @@ def _fields(value: Any, name: str) -> dict[str, Any]:
     """The columns of a struct of vectors, or of an array of structs with one entry per field, or
     equally many numbers."""
     if value.size == 1:
-        return {field: np.atleast_1d(value[field].item()) for field in value.dtype.names}
+        return _flat(_entries(value))
     columns = {}
     for field in value.dtype.names:
         entries = [np.asarray(entry) for entry in value[field].ravel()]
@@ -110,6 +111,22 @@ def _fields(value: Any, name: str) -> dict[str, Any]:
             [entry.ravel()[0] if entry.size else None for entry in entries], dtype=object
         )
     return columns
+
+
+def _entries(value: Any) -> dict[str, Any]:
+    """The fields of one struct."""
+    return {field: np.atleast_1d(value[field].item()) for field in value.dtype.names}
+
+
+def _flat(arrays: dict[str, Any]) -> dict[str, Any]:
+    """With the fields of each single struct in its place, such as robot.q."""
+    made: dict[str, Any] = {}
+    for name, value in arrays.items():
+        if value.dtype.names and value.size == 1:
+            made |= _flat({f"{name}.{field}": one for field, one in _entries(value).items()})
+        else:
+            made[name] = value
+    return made
 
 
 def _from_arrays(

@@ -61,8 +61,8 @@ def read_dataset(
 
     How a text is written is recognised: `header` or none, `delimiter`, `decimal` mark,
     `encoding`; each may be stated. `sheet` (name, or number from 1) is for XLSX, `variable` for
-    MATLAB, `topic` for bags. Blank, NaN, NA, n/a, #N/A, null, none and - are missing readings
-    (NaN).
+    MATLAB, `topic` for bags. Blank, NaN, NA, n/a, #N/A, null, none, failed, - and --- are missing
+    readings (NaN).
 
     Raises InputError, naming file, row and column, for all that cannot be read as stated.
     """
