@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import loopcal as lc
+from loopcal.document.findings import Undetermined
 from loopcal.statistics.change_points import find_shifts
+from loopcal.statistics.verdict import findings_of
 from tests.statistics.test_camera_changes import LENS, PLACE, POINTS, SDS
 
 SHARE = 0.02
+FILES = {"project": "project.toml", "result": "result"}
 
 
 def hands(seed: int, ordered: bool) -> dict[str, NDArray[np.float64]]:
@@ -68,3 +73,12 @@ def test_poses_of_the_right_moment_have_no_delay(seed: int) -> None:
 
 def test_along_a_path_a_delay_is_not_told_from_an_error_of_the_machine() -> None:
     assert find_shifts(calibrated(1, ordered=True)).delay is None
+
+
+def test_a_robot_that_states_poses_of_its_flange_is_sent_to_images_and_not_to_plan() -> None:
+    document, undetermined = calibrated(0).document, (Undetermined({"eye_f": 1.0}, "eye_f"),)
+    weak = replace(document.identifiability, not_identifiable=undetermined)
+    made = findings_of(replace(document, identifiability=weak), files=FILES)
+    steps = [one.next for one in made if one.next]
+    assert any("random order, with the hand turned" in step.words for step in steps)
+    assert not any((step.command or "").startswith("loopcal plan") for step in steps)
