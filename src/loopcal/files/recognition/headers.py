@@ -97,6 +97,8 @@ def heading(text: str, spoken: Mapping[str, str] = MappingProxyType({})) -> Head
 
     >>> heading("J1 [deg]").stem, heading("theta1_rad").unit, heading("X (mm)").unit
     ('j1', 'rad', 'mm')
+    >>> heading("x_in").unit, heading("valve_in").unit
+    ('in', None)
     >>> heading("Csukló 2 [fok]", {"csukló": "joint", "fok": "deg"})
     Heading(text='Csukló 2 [fok]', stem='joint_2', unit='deg')
     """
@@ -111,6 +113,8 @@ def heading(text: str, spoken: Mapping[str, str] = MappingProxyType({})) -> Head
         if stated.strip().casefold() in words("open", "angle"):
             return Heading(text, stem(name_part))
     parts = stem(name).split("_")
+    if len(parts) > 1 and parts[-1] == "in" and parts[-2] in ("x", "y", "z"):
+        return Heading(text, "_".join(parts[:-1]), "in")  # elsewhere a word: valve_in
     if len(parts) > 1 and parts[-1] in _SPOKEN and parts[-1] not in ("s", "ms"):
         unit = _unit(parts[-1])
         parts = parts[:-1]
