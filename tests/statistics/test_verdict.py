@@ -33,6 +33,7 @@ from loopcal.document.choice import Candidate, Chosen, TermEntry, TermPart
 from loopcal.document.findings import (
     ColumnFault,
     ConflictEntry,
+    DelayEntry,
     HalvesEntry,
     OtherOptimum,
     Outlier,
@@ -93,6 +94,7 @@ FINDINGS: dict[str, tuple[str, Any, bool | None]] = {
     "sds-too-large": ("chi_squared", ChiSquared.of(11.0, 114), False),
     "sds-generous": ("chi_squared", ChiSquared.of(57.0, 114), None),
     "halves-disagree": ("halves", (HalvesEntry("eye_f", "px", 671.0, 734.0, 3.4, None),), False),
+    "poses-delayed": ("delay", DelayEntry(True, 0.02, 1e-3, 1e-9), False),
     "change-points": ("change_points", ChangePoints((SLIP,), 0.01, 120, ""), False),
     "changes-modelled": (
         "change_points",

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping
 from functools import partial
 
 from loopcal.document.another_day import ANOTHER_DAY
+from loopcal.document.of_images import OF_IMAGES
 from loopcal.document.two_machines import TWO_MACHINES
 from loopcal.document.verdict import SEVERITIES, Fact, Finding, Row
 
@@ -76,14 +77,7 @@ _ROWS = (
         "Check units, signs and joint directions of the columns, and the drawing.",
         _CHECK,
     ),
-    _not_sound(
-        "halves-disagree",
-        "Two halves of the images, fitted apart, disagree: {place.parameters} is {first} by one "
-        "and {second} by the other, {sds:2} sds apart.",
-        "Measure the board, free what is held of lens and print, and take images at several "
-        "distances and tilts.",
-        _REPORT,
-    ),
+    *OF_IMAGES,
     _not_sound(
         "change-points",
         "Something moved along the run{what}.",

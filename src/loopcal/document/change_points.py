@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from loopcal.document.findings import ScaleEntry
+from loopcal.document.findings import DelayEntry, ScaleEntry
 from loopcal.document.plain import Count, Probability, Size
 from loopcal.mechanisms.effects.effect import LENGTHS, LOAD
 from loopcal.presentation.brief import brief
@@ -143,8 +143,8 @@ class Shifts:
     that fit once the shifts are modelled, empty where none was found; unsure: steps without a sharp
     edge, which slow changes over the run explain as well; told_apart: those found that an error of
     the machine model cannot imitate: steps with an edge sharper than the path of the joints, and
-    drifts of an instrument in an order that the joints do not follow; scales: of the instruments,
-    beside what was found.
+    drifts of an instrument in an order that the joints do not follow; scales, delay: of what
+    was read, beside what was found.
     """
 
     found: tuple[ChangePoint, ...]
@@ -154,6 +154,7 @@ class Shifts:
     unsure: tuple[ChangePoint, ...] = ()
     told_apart: tuple[ChangePoint, ...] = ()
     scales: tuple[ScaleEntry, ...] = ()
+    delay: DelayEntry | None = None
 
     def __len__(self) -> int:
         return len(self.found)

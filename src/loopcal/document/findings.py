@@ -135,6 +135,19 @@ class ScaleEntry:
 
 
 @dataclass(frozen=True)
+class DelayEntry:
+    """What was read of each pose is a share of the way to a neighbour off, alike in all poses."""
+
+    ahead: bool
+    """Whether towards the next pose, not towards the last one."""
+    share: float
+    """Of the way to that pose."""
+    sd: Size
+    p_value: Probability
+    """Of a share at least so large where there is none."""
+
+
+@dataclass(frozen=True)
 class ConflictEntry:
     """An observation beside all others, and by itself."""
 

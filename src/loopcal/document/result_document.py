@@ -14,6 +14,7 @@ from loopcal.document.choice import Candidate, Chosen, TermEntry
 from loopcal.document.findings import (
     ColumnFault,
     ConflictEntry,
+    DelayEntry,
     HalvesEntry,
     Identifiability,
     Observability,
@@ -251,6 +252,9 @@ class ResultDocument:
     """Optima that fit about as well; null: not sought."""
     scales: tuple[ScaleEntry, ...] | None = None
     """Scales of what was measured; null: none could be compared."""
+    delay: DelayEntry | None = None
+    """What was read of the poses beside their neighbours; null: no delay explains
+    half of what is left along the motions."""
     conflicts: tuple[ConflictEntry, ...] | None = None
     """Each observation beside all others; null: there is but one."""
     data: DataEntry

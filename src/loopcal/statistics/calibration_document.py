@@ -70,5 +70,6 @@ def with_findings(document: ResultDocument, findings: Findings) -> ResultDocumen
         column_faults=findings.outliers.columns,
         other_optima=findings.optima,
         scales=findings.shifts.scales or None,
+        delay=findings.shifts.delay,
         conflicts=findings.conflicts or None,
     )

@@ -31,6 +31,7 @@ from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.lazy import cached_property
 from loopcal.statistics.estimated import log_tail
 from loopcal.statistics.ordered_system import Fitted, OrderedSystem, ordered_system
+from loopcal.statistics.pose_delay import pose_delay
 from loopcal.statistics.possible_changes import (
     ALONG_A_RUN,
     Cause,
@@ -143,7 +144,7 @@ def find_shifts(result: FitResult, *, level: float = 0.01, most: int = MOST) -> 
         return replace(NOT_SEARCHED, level=level)
     with one_blas_thread():
         shifts, fit = Search(ordered_system(result), level).run(most)
-        return replace(shifts, scales=scales(fit))
+        return replace(shifts, scales=scales(fit), delay=pose_delay(fit))
 
 
 def searchable(poses: int) -> bool:

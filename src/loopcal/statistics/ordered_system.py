@@ -327,6 +327,13 @@ class Fitted:
         least = absorbed * max(float(np.trace(Q)), 1e-300)
         return Estimated.of(flat.T @ self.left.ravel(), Q - W @ W.T, scale, least)
 
+    def by_pose(self, column: Array) -> tuple[Array, Array]:
+        """(N,) each: the products with what is left, and with itself, of what all else leaves of a
+        column (N, R, 1)."""
+        C = (self.T @ column)[:, :, 0]
+        C = C - self._absorbing @ np.einsum("nrk,nr->k", self._absorbing, C)
+        return np.einsum("nr,nr->n", C, self.left), np.square(C).sum(axis=1)
+
     def kept_by(self, column: Array, priors: Sequence[int]) -> float:
         """How much of the information on a column (N, R, 1) is of the priors of these parameters:
         sum p_i d_i^2, d = -H^-1 Z^T T^T T C what all of them do where the column is one."""

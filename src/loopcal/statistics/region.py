@@ -52,6 +52,9 @@ _BEYOND = 0.5
 # Chosen, not derived: more than an encoder's noise, far less than shows anything of a joint.
 _STILL = 1e-3
 """A joint that covers less of its region stood still."""
+# Each part costs a call, and two blocks of this size take no more memory than the fit.
+_PARTS = 2
+"""Blocks of values of which the covariances of one part are made."""
 Span = tuple[float, float]
 
 
@@ -70,7 +73,8 @@ def region_of(
     stood: dict[str, Span] = {}
     for one in region.ranges:
         row = readings[names.index(one.quantity)]
-        if one.quantity not in stated and np.ptp(row) < _STILL * (one.high - one.low):
+        moves = one.source == "readings" or np.ptp(row) >= _STILL * (one.high - one.low)
+        if one.quantity not in stated and not moves:
             stood[one.quantity] = float(row.min()), float(row.max())
     if not stood:
         return region
@@ -200,7 +204,7 @@ def _sds(
 
     In parts, because covariances of images are large.
     """
-    size = max(1, VALUES // len(calibrated.units) ** 2)
+    size = max(1, _PARTS * VALUES // len(calibrated.units) ** 2)
     outputs, sds = [], []
     for begin in range(0, x.shape[1], size):
         part = slice(begin, begin + size)

@@ -46,6 +46,9 @@ LEAST_SHARE = 0.2
 # Three sds of a normal distribution, both sides.
 APART = 0.0027
 """How rarely two halves of honest images may put a parameter so far apart."""
+# Five times what poses of an arm are off whose lengths err by 0.5 mm, and zeros by 0.1 degrees.
+CONTRADICT = 5e-3
+"""Angle [rad] from where images see a board to where the machine says: a result is open."""
 # Chosen, not derived: what fits a line.
 _NAMED = 3
 """Change points that a finding names."""
@@ -312,6 +315,31 @@ def _halves(document: ResultDocument) -> Fact | None:
     return fact("halves-disagree", Where(parameters=(worst.name,)), numbers)
 
 
+def _delayed(document: ResultDocument) -> Fact | None:
+    one = document.delay
+    if one is None or one.p_value >= RARE:
+        return None
+    numbers = {"share": one.share, "sd": one.sd}
+    return fact("poses-delayed", numbers=numbers, neighbour="next" if one.ahead else "last")
+
+
+def _contradict(document: ResultDocument) -> Fact | None:
+    """By the angle between lines of sight: whatever the size of a pixel."""
+    focal = {p.name.removesuffix("_f"): p.value for p in document.parameters if p.unit == "px"}
+    by = () if document.accuracy is None else document.accuracy.by
+    angles = {
+        one.instrument: one.position.after.rms / abs(focal[one.instrument])
+        for one in by
+        if one.position is not None and one.position.unit == "px" and focal.get(one.instrument)
+    }
+    camera = max(angles, key=lambda name: angles[name], default=None)
+    if camera is None or angles[camera] < CONTRADICT:
+        return None
+    return fact(
+        "images-contradict", numbers={"misfit": Figure(angles[camera], "rad")}, camera=camera
+    )
+
+
 def _undetermined(document: ResultDocument) -> Fact | None:
     loose = tuple(sorted(document.identifiability.loose))
     if not loose:
@@ -357,6 +385,8 @@ SOUND: tuple[Callable[[ResultDocument], Fact | None], ...] = (
     _unsettled,
     undetected,
     _mounting,
+    _delayed,
+    _contradict,
     _halves,
     _optima,
     _undetermined,

@@ -34,6 +34,7 @@ from loopcal.errors import listed
 from loopcal.estimation.fit_document import fit_document
 from loopcal.estimation.methods.registry import METHODS
 from loopcal.estimation.result import FitResult
+from loopcal.mechanisms.parallel.free_body import TURNS
 from loopcal.presentation.shown import significant
 from loopcal.statistics.calibration_document import calibration_document, with_findings
 from loopcal.statistics.case import NOMINAL
@@ -81,7 +82,17 @@ def findings_of(
         region = replace(region, code=unsound[region.code])
     others = (region, better(document), good_enough(document, tolerance))
     made = catalogue.findings([*facts, *(one for one in others if one)], files)
-    return tuple(map(_for_cameras, made)) if _cameras_alone(document) else made
+    images = _images_to_take(document)
+    return tuple(_with_images(one, images) for one in made) if images else made
+
+
+def _images_to_take(document: ResultDocument) -> str:
+    """In place of poses to plan: where no robot moves, or one that reads no joints."""
+    if _cameras_alone(document):
+        return _MORE_IMAGES
+    accuracy = document.accuracy
+    read = {q for entry in document.noise if entry.role == "reading" for q in entry.quantities}
+    return _MORE_OF_A_HAND if accuracy and accuracy.places and {*TURNS} <= read else ""
 
 
 def _cameras_alone(document: ResultDocument) -> bool:
@@ -90,12 +101,15 @@ def _cameras_alone(document: ResultDocument) -> bool:
     return accuracy is not None and bool(accuracy.pixels) and not accuracy.places
 
 
-def _for_cameras(one: Finding) -> Finding:
-    """The finding with images to take in place of poses to plan, which no robot could go to."""
+def _with_images(one: Finding, images: str) -> Finding:
     planned = one.next and (one.next.command or "").startswith("loopcal plan")
-    return replace(one, next=NextStep(_MORE_IMAGES)) if planned else one
+    return replace(one, next=NextStep(images)) if planned else one
 
 
+_MORE_OF_A_HAND = (
+    "Take more images, in random order, with the hand turned by 30 deg about two axes, at several "
+    "distances and in all parts of the image."
+)
 _MORE_IMAGES = (
     "Take more images, with the board tilted by 20 to 45 deg either way, at several distances and "
     "in all parts of the image."

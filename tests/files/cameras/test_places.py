@@ -42,6 +42,15 @@ def test_samples_of_easy_handeye(tmp_path: Path) -> None:
         read_samples(written(tmp_path, text.replace(f"{sample(3)}, ", "")))
 
 
+def test_samples_without_marker_state_the_poses_of_the_robot(tmp_path: Path) -> None:
+    path = written(tmp_path, "samples:\n" + "".join(f"- robot: {sample(i)}\n" for i in range(3)))
+    places = read_places(path)
+    assert places.name == ("1", "2", "3")
+    np.testing.assert_allclose(places.T[:, 0, 3], (0, 1, 2))
+    with refused("missing-key", "tracking"):
+        read_samples(path)
+
+
 def test_poses_of_industrial_calibration_in_files_beside_images(tmp_path: Path) -> None:
     pose = "x: {}\ny: 2.0\nz: 3.0\nqx: 0.0\nqy: 0.0\nqz: 0.70710678\nqw: 0.70710678\n"
     for i in range(2):

@@ -75,10 +75,9 @@ def read_places(path: str | Path) -> PlaceTable:
     if path.suffix.lower() not in (".yaml", ".yml", ".json"):
         return _of_source(sources_of(path, 0)[0], path)
     document = read_document(path)
-    if document.get("samples", "hand_world_samples") is not None:
-        robot = read_samples(path).robot
+    if robot := _robot_poses(document):  # those of the marker may not stand beside them
         names = tuple(map(str, range(1, len(robot) + 1)))
-        return PlaceTable(names, robot, path.name, counted=True)
+        return PlaceTable(names, np.array(robot), path.name, counted=True)
     every = list(_of_document(document, path, "1"))
     if not every:
         raise InputError(
@@ -187,19 +186,23 @@ def _whole_times(source: Source) -> tuple[str, ...] | None:
     return None
 
 
+def _robot_poses(document: Part, *also: str) -> list[Array]:
+    """The poses of the robot in samples of either version; also: other names of their list."""
+    if (pairs := document.get("samples")) is not None:
+        return [transform(one.part("robot")) for one in pairs.parts()]
+    hand = document.get("hand_world_samples", *also)
+    return [] if hand is None else [transform(T) for T in (hand.get("transforms") or hand).parts()]
+
+
 def read_samples(path: str | Path) -> Samples:
     """Hand-eye samples of easy_handeye, of ROS 1 or 2. Raises InputError for another file."""
     document = read_document(path)
-    pairs = document.get("samples")
+    robot, pairs = _robot_poses(document, "robot"), document.get("samples")
     if pairs is not None:
-        robot = [transform(one.part("robot")) for one in pairs.parts()]
         tracking = [transform(one.part("tracking", "optical")) for one in pairs.parts()]
     else:
-        hand = document.part("hand_world_samples", "robot")
         marker = document.part("camera_marker_samples", "tracking")
-        robot, tracking = (
-            [transform(T) for T in (one.get("transforms") or one).parts()] for one in (hand, marker)
-        )
+        tracking = [transform(T) for T in (marker.get("transforms") or marker).parts()]
     if len(robot) != len(tracking) or not robot:
         raise InputError(
             f"the file has {len(robot)} poses of the robot and {len(tracking)} of the board",

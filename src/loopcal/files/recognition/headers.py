@@ -51,6 +51,11 @@ def arms() -> tuple[tuple[str, ...], ...]:
 
 
 _SPOKEN = meanings("units")
+_BEHIND = {
+    **{unit: {*words("columns", "time")} for unit in ("s", "ms", "us", "ns")},
+    "in": {"x", "y", "z"},
+}
+"""Units that are other words behind other names, such as the joint S, or "in"."""
 _OPENING, _CLOSING = re.compile(r"[\[({]"), re.compile(r"[\])}]")
 # NFKD takes accents away, but turns no letter of another alphabet into a word.
 _LETTERS = {"θ": "theta", "ϑ": "theta", "φ": "phi", "α": "alpha", "β": "beta", "Δ": "delta"}
@@ -97,6 +102,8 @@ def heading(text: str, spoken: Mapping[str, str] = MappingProxyType({})) -> Head
 
     >>> heading("J1 [deg]").stem, heading("theta1_rad").unit, heading("X (mm)").unit
     ('j1', 'rad', 'mm')
+    >>> heading("x_in").unit, heading("valve_in").unit
+    ('in', None)
     >>> heading("Csukló 2 [fok]", {"csukló": "joint", "fok": "deg"})
     Heading(text='Csukló 2 [fok]', stem='joint_2', unit='deg')
     """
@@ -111,12 +118,10 @@ def heading(text: str, spoken: Mapping[str, str] = MappingProxyType({})) -> Head
         if stated.strip().casefold() in words("open", "angle"):
             return Heading(text, stem(name_part))
     parts = stem(name).split("_")
-    # Joints may be called s: these are units of times alone.
-    timed = parts[-1] in ("s", "ms", "us", "ns")
-    fits = not timed or "_".join(parts[:-1]) in words("columns", "time")
-    if len(parts) > 1 and parts[-1] in _SPOKEN and fits:
-        unit = _unit(parts[-1])
-        parts = parts[:-1]
+    *rest, last = parts
+    names = _BEHIND.get(last)
+    if rest and _unit(last) and (names is None or {"_".join(rest), rest[-1]} & names):
+        unit, parts = _unit(last), rest
         if len(parts) > 1 and parts[-1] == "in":
             parts = parts[:-1]
     return Heading(text, "_".join(parts), unit)

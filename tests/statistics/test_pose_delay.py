@@ -1,0 +1,102 @@
+"""Poses that were not read at the moment of their images are named with their share of the way."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+import loopcal as lc
+from loopcal.document.findings import Undetermined
+from loopcal.statistics.change_points import find_shifts
+from loopcal.statistics.verdict import findings_of
+from tests.statistics.test_camera_changes import LENS, PLACE, POINTS, SDS
+
+SHARE = 0.02
+FILES = {"project": "project.toml", "result": "result"}
+
+
+def hands(seed: int, ordered: bool) -> dict[str, NDArray[np.float64]]:
+    """30 poses of a hand before a camera; ordered: along a path."""
+    w, at = np.random.default_rng(seed).uniform(-1.0, 1.0, (2, 30, 3))
+    if ordered:
+        phase = np.linspace(0.0, np.pi, 30)[:, None]
+        w, at = np.cos(phase + np.arange(3.0)), np.sin(0.5 * phase + np.arange(3.0))
+    turn = Rotation.from_rotvec(0.5 * w).as_quat().T
+    place = np.array([0.15, 0.15, 0.4]) * at
+    return dict(zip(("qx", "qy", "qz", "qw", *"xyz"), (*turn, *place.T), strict=True))
+
+
+def delayed(true: dict[str, NDArray[np.float64]], step: int) -> dict[str, NDArray[np.float64]]:
+    """What is read a share of the way to a neighbour."""
+    i = np.arange(30)
+    to = np.clip(i + step, 0, 29)
+    q = Rotation.from_quat(np.column_stack([true[c] for c in ("qx", "qy", "qz", "qw")]))
+    turn = (q * Rotation.from_rotvec(SHARE * (q.inv() * q[to]).as_rotvec())).as_quat().T
+    place = [true[c] + SHARE * (true[c][to] - true[c]) for c in "xyz"]
+    return dict(zip(("qx", "qy", "qz", "qw", *"xyz"), (*turn, *place), strict=True))
+
+
+def calibrated(step: int, seed: int = 1, ordered: bool = False) -> lc.Result:
+    eye = lc.instruments.camera("eye", points=POINTS, lens="pinhole")
+    machine = lc.assemble(lc.machines.free_body(), [eye], {**PLACE, **LENS})
+    true, noise = hands(seed, ordered), lc.Noise(SDS)
+    data = lc.simulate(machine, true, noise=noise, seed=seed).dataset
+    stated = delayed(true, step)
+    moved = {c: data[c] + stated[c] - true[c] for c in "xyz"}
+    turns = {c: stated[c] for c in ("qx", "qy", "qz", "qw")}
+    read = data.with_readings({**moved, **turns})
+    noise = lc.Noise(SDS, estimate={"[xyz]": "group", "w?": "group"}) if step else noise
+    return lc.calibrate(machine, read, noise=noise, method="implicit-loop")
+
+
+@pytest.mark.parametrize("step", [1, -1])
+def test_a_delay_is_a_share_of_the_way_to_a_neighbour(step: int) -> None:
+    result = calibrated(step)
+    delay = find_shifts(result).delay
+    assert delay is not None
+    assert delay.ahead == (step > 0)
+    assert delay.p_value < 1e-6
+    assert delay.share == pytest.approx(SHARE, abs=0.1 * SHARE)
+    assert result.verdict is not None
+    (one,) = (f for f in result.verdict.findings if f.code == "poses-delayed")
+    assert f"to the {'next' if step > 0 else 'last'} pose" in one.title
+
+
+def test_images_far_off_the_machine_leave_the_verdict_open() -> None:
+    document = calibrated(0).document
+    accuracy = document.accuracy
+    assert accuracy is not None
+
+    def off(px: float) -> list[str]:
+        (one,) = accuracy.by
+        assert one.position is not None
+        position = replace(one.position, after=replace(one.position.after, rms=px))
+        far = replace(accuracy, by=(replace(one, position=position),))
+        made = findings_of(replace(document, accuracy=far), files=FILES)
+        return [f.code for f in made if (f.question, f.severity) == ("sound", "caution")]
+
+    (focal,) = (p.value for p in document.parameters if p.name == "eye_f")
+    assert "images-contradict" not in off(4.9e-3 * focal)
+    assert "images-contradict" in off(5.1e-3 * focal)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_poses_of_the_right_moment_have_no_delay(seed: int) -> None:
+    assert find_shifts(calibrated(0, seed)).delay is None
+
+
+def test_along_a_path_a_delay_is_not_told_from_an_error_of_the_machine() -> None:
+    assert find_shifts(calibrated(1, ordered=True)).delay is None
+
+
+def test_a_robot_that_states_poses_of_its_flange_is_sent_to_images_and_not_to_plan() -> None:
+    document, undetermined = calibrated(0).document, (Undetermined({"eye_f": 1.0}, "eye_f"),)
+    weak = replace(document.identifiability, not_identifiable=undetermined)
+    made = findings_of(replace(document, identifiability=weak), files=FILES)
+    steps = [one.next for one in made if one.next]
+    assert any("random order, with the hand turned" in step.words for step in steps)
+    assert not any((step.command or "").startswith("loopcal plan") for step in steps)
