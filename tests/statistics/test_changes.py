@@ -12,6 +12,8 @@ import pytest
 
 import loopcal as lc
 from loopcal.document.change_points import NOT_SEARCHED
+from loopcal.execution.executor import Executor, InProcess
+from loopcal.execution.forked import process_cores
 from loopcal.files.result import result_file
 from loopcal.statistics import choice
 from loopcal.statistics.case import Case, Entrant, entrants
@@ -192,6 +194,20 @@ def test_a_run_in_which_nothing_happened_is_searched_once(monkeypatch: pytest.Mo
     result = choose(case, Scheme(folds=2, blocks=0)).result
     monkeypatch.delattr("loopcal.statistics.findings.find_shifts")
     assert not statistics_findings(result).shifts.found
+
+
+def test_changes_are_sought_where_all_free_cores_serve(monkeypatch: pytest.MonkeyPatch) -> None:
+    by: list[Executor] = []
+
+    def recorded(*given: Any) -> Changes:
+        by.append(process_cores())
+        return changes(*given)
+
+    monkeypatch.setattr(choice, "changes", recorded)
+    monkeypatch.setenv("LOOPCAL_THREADS", "2")
+    told(sagging(read(joints(24, 3), 3)))
+    assert by
+    assert not any(isinstance(one, InProcess) for one in by)  # one of several that share them
 
 
 @pytest.fixture(scope="module")

@@ -308,6 +308,17 @@ class FitResult:
         terms = () if learnt is None else term_entries(self.mechanism, learnt)
         return terms if prints is None else (*terms, *prints.entries(self.mechanism))
 
+    @property
+    def learns_terms(self) -> bool:
+        """Whether there are any `terms`, of which nothing else is computed."""
+        if self.inherited is not None:
+            return bool(self.inherited.terms)
+        if self.estimate is None:
+            return False
+        learnt, prints = self.estimate.variances.terms, self.estimate.prints
+        asked = prints is not None and prints.learnt is not None and bool(prints.kept.any())
+        return asked or (learnt is not None and bool(learnt.system.terms))
+
     def terms_with_parts(self) -> tuple[TermEntry, ...]:
         """With what each term does joint by joint."""
         if not self.terms or not self.problem.count or self.inherited is not None:

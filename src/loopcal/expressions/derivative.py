@@ -42,8 +42,7 @@ def linearise(tape: Tape, quantities: Iterable[str], parameters: Iterable[str]) 
 def _linearised(
     tape: Tape, quantities: tuple[str, ...], parameters: tuple[str, ...]
 ) -> Linearisation:
-    graph, place = rewritten(tape.operations, {})
-    loops = [place[output] for output in tape.outputs]
+    graph, loops = Graph(tape.operations), tape.outputs
     inputs = [graph.leaf("quantity", tape.quantities.index(q)) for q in quantities]
     inputs += [graph.leaf("parameter", tape.parameters.index(p)) for p in parameters]
     # Adjoints are symbolic nodes, so the loops of one tape share what they have in common.
@@ -74,11 +73,11 @@ def lagrangian_gradient(tape: Tape) -> Tape:
     Its outputs are the k derivatives; its known constants those of the tape, then one multiplier
     per loop. Linearised once more, it gives the second derivatives of the loops.
     """
-    graph, place = rewritten(tape.operations, {})
+    graph = Graph(tape.operations)
     total = graph.constant(0.0)
     for i, output in enumerate(tape.outputs):
         multiplier = graph.leaf("known", len(tape.pose_constants) + i)
-        total = graph.apply("add", total, graph.apply("mul", multiplier, place[output]))
+        total = graph.apply("add", total, graph.apply("mul", multiplier, output))
     inputs = [graph.leaf("quantity", i) for i in range(len(tape.quantities))]
     return Tape.from_graph(
         graph,

@@ -14,7 +14,7 @@ errors) reads this table.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,12 +30,13 @@ _PLAIN, _SPECIAL = frozenset({"add", "sub", "mul", "div"}), frozenset({"constant
 class Graph:
     """A growing directed acyclic graph of operations; a node is its position.
 
-    operations[i] is the step that makes node i.
+    operations[i] is the step that makes node i. It may begin as those of a tape, which are in it
+    as they are.
     """
 
-    def __init__(self) -> None:
-        self.operations: list[Step] = []
-        self._nodes: dict[Step, Node] = {}
+    def __init__(self, operations: Iterable[Step] = ()) -> None:
+        self.operations: list[Step] = [*operations]
+        self._nodes: dict[Step, Node] = {step: i for i, step in enumerate(self.operations)}
 
     def leaf(self, kind: str, payload: float) -> Node:
         """A constant (payload: its value) or an input (payload: its position)."""

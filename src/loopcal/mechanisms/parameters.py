@@ -216,7 +216,11 @@ def _with(parameter: Parameter, changes: Mapping[str, Any]) -> Parameter:
     # Most changes touch few of many parameters: what stays is shared, not copied.
     if all(fields[name] == value for name, value in changes.items()):
         return parameter
-    return Parameter(**{**fields, **changes})
+    # Thousands in a calibration: its initialiser sets each field of a frozen object by a call.
+    made = object.__new__(Parameter)
+    vars(made).update(fields, **changes)
+    made.__post_init__()
+    return made
 
 
 def stated(

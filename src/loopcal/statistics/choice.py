@@ -270,18 +270,18 @@ def _searched(
     first = next((one for one in telling if one.case.fit.method.exact), None)
     order = sorted(telling, key=lambda one: one is not first)
 
-    def with_changes(_: None, one: Entrant) -> tuple[Judged, Changes | None]:
-        judged = fitted(one, None if helping() else iterated)
-        return judged, _changes(case, judged) if one is first else None
+    def fit(_: None, one: Entrant) -> Judged:
+        return fitted(one, None if helping() else iterated)
 
     done, run_changes = dict[str, Judged](), None
-    with closing(process_cores().run(with_changes, None, order)) as outcomes:
+    with closing(process_cores().run(fit, None, order)) as outcomes:
         for outcome in outcomes:
-            one, fit_changes = outcome.value
+            one = outcome.value
             done[one.name] = one
-            if fit_changes is not None:
-                run_changes = fit_changes
-                if run_changes.happened:
+            if order[outcome.number] is first:
+                # Here, where all cores serve that are free, beside the other fits.
+                run_changes = _changes(case, one)
+                if run_changes is not None and run_changes.happened:
                     break
     judged = [*judged, *(done[one.name] for one in telling if one.name in done)]
     if run_changes is None:

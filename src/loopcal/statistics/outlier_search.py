@@ -248,7 +248,7 @@ class Search:
 
     def _fit(self, problem: Problem, start: Array, loss: Loss | None) -> Solution:
         solve = self.result.fit.solver.safe.solve
-        tolerance = ENOUGH if self.result.terms else None
+        tolerance = ENOUGH if self.result.learns_terms else None
         return solve(replace(problem, start=start), loss=loss, tolerance=tolerance)
 
     def _robust(self, fit: Fitted) -> Fitted:

@@ -59,7 +59,7 @@ def scatter(result: FitResult) -> Scatter | None:
     terms carry the error of the model."""
     if result.all_poses is not None or result.fit.robust_loss is not None:
         return None
-    if result.terms or not result.status.converged:
+    if result.learns_terms or not result.status.converged:
         return None
     problem, solution = result.problem, result.solution
     covariance, rank = result.spectrum.covariance(), result.spectrum.rank

@@ -56,6 +56,7 @@ def scattered(tmp_path_factory: pytest.TempPathFactory) -> tuple[Shots, FitResul
 def test_a_perfect_print_has_no_offsets(tmp_path: Path) -> None:
     result = _calibrated(_shots(np.zeros((COLUMNS * ROWS, 3))), tmp_path)
     assert result.terms == ()
+    assert not result.learns_terms
     corners = result.mechanism.parameters.of_role("corner")
     assert len(corners) == 3 * COLUMNS * ROWS
     assert {result.value[name] for name in corners} == {0.0}
@@ -128,6 +129,8 @@ def test_images_of_few_corners_leave_the_corners_their_noise(tmp_path: Path) -> 
     for image in uv:
         image[rng.choice(len(image), len(image) - 12, replace=False)] = np.nan
     result = _calibrated(replace(shots, uv=uv), tmp_path)
+    assert result.learns_terms
+    assert "terms" not in vars(result)
     assert [term.name for term in result.terms] == ["points"]
     (sd,) = [entry.sd for entry in result.noise if entry.quantities[0].startswith("cam")]
     assert sd == pytest.approx(shots.rig.corner, rel=0.2)

@@ -223,6 +223,7 @@ def test_least_squares_ignores_terms_without_model_error() -> None:
     grouped = lc.calibrate(machine, data, prior=PRIORS, method="least-squares")
     assert dict(grouped.value) == dict(flat.value)
     assert grouped.terms == ()
+    assert not grouped.learns_terms
 
 
 def test_stated_sds_stay_and_the_scale_is_learnt_beside_them() -> None:
@@ -231,6 +232,8 @@ def test_stated_sds_stay_and_the_scale_is_learnt_beside_them() -> None:
     noise = {"q": 0.0, "y": 1e-3}
     result = lc.calibrate(machine, data, noise=noise, prior=PRIORS, method="implicit-loop")
     assert [n.source for n in result.noise if n.quantities == ("y",)] == ["given"]
+    assert result.learns_terms
+    assert "terms" not in vars(result)
     assert result.terms[0].scale == pytest.approx(2e-3, rel=0.6)
     assert result.mechanism.parameters["c_3"].prior_sd == result.terms[0].scale
     both = lc.calibrate(

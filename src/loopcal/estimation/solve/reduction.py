@@ -183,40 +183,51 @@ class Summed:
         """How much of chi-squared the full step is predicted to remove."""
         return float(solution @ self.gradient)
 
-    @overflowing
     def solution(self) -> Array | None:
         """The full step (n,), if the matrix is well conditioned; costs a fifth of `directions`.
 
         The condition number is at most |matrix| |inverse| in Frobenius' norm.
         """
+        step, condition = self._solved
+        return step if condition <= WELL_CONDITIONED**2 else None
+
+    @property
+    def ill_conditioned(self) -> bool:
+        """Whether the inverse shows that the matrix is: in Frobenius' norm |matrix| |inverse| is at
+        most n times the condition number."""
+        condition = self._solved[1]
+        return len(self.matrix) * WELL_CONDITIONED**2 < condition < math.inf
+
+    @cached_property
+    @overflowing
+    def _solved(self) -> tuple[Array | None, float]:
+        """The full step (n,), and |matrix| |inverse|, infinite where there is no inverse."""
         if len(self.matrix) >= LARGE:
             return self._by_cholesky()
         try:
             inverse = np.linalg.inv(self.matrix)
         except np.linalg.LinAlgError:
-            return None
+            return None, math.inf
         back = inverse.ravel()
-        return np.asarray(inverse @ self.gradient) if self._well(float(back @ back)) else None
+        return np.asarray(inverse @ self.gradient), self._condition(float(back @ back))
 
-    def _by_cholesky(self) -> Array | None:
+    def _by_cholesky(self) -> tuple[Array | None, float]:
         """Of a large matrix in half the time, from one half of it and of its inverse."""
         from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 
         factor, failed = dpotrf(self.matrix.T, lower=1)  # the other half is zero
         if failed:
-            return None
+            return None, math.inf
         solution = np.asarray(dpotrs(factor, self.gradient, lower=1)[0], dtype=np.float64)
         half = dpotri(factor, lower=1, overwrite_c=1)[0]
         back, diagonal = half.T.ravel(), np.diag(half)
         # An entry beside the diagonal is in one half only, so its square counts twice.
-        return solution if self._well(float(2.0 * (back @ back) - diagonal @ diagonal)) else None
+        return solution, self._condition(float(2.0 * (back @ back) - diagonal @ diagonal))
 
-    def _well(self, inverse: float) -> bool:
-        """Whether the matrix is well conditioned; inverse: squares of its inverse, summed."""
+    def _condition(self, inverse: float) -> float:
+        """|matrix| |inverse|; inverse: squares of its inverse, summed."""
         flat = self.matrix.ravel()
-        # The matrix is R^T R, whose condition is that of R squared; these norms are squared once
-        # more.
-        return bool((flat @ flat) * inverse <= WELL_CONDITIONED**4)
+        return math.sqrt((flat @ flat) * inverse)
 
 
 def inverse_of_upper(R: Array) -> Array:
@@ -330,8 +341,12 @@ class Spectrum:
     @property
     def well_conditioned(self) -> bool:
         """Whether normal equations lose nothing that iterating cannot recover."""
-        summed = isinstance(self.equations, Summed)
-        return (summed and self._solution is not None) or self.condition <= WELL_CONDITIONED
+        if isinstance(self.equations, Summed):
+            if self._solution is not None:
+                return True
+            if self.equations.ill_conditioned:
+                return False
+        return self.condition <= WELL_CONDITIONED
 
     @cached_property
     def decrement(self) -> float:

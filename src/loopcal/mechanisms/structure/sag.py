@@ -45,6 +45,7 @@ from loopcal.arrays import Array
 from loopcal.expressions.engine import engine_for
 from loopcal.expressions.trace import trace
 from loopcal.expressions.vectors import cross, dot, norm, rotate, vector
+from loopcal.lazy import cached_property
 from loopcal.mechanisms.chain import Step
 from loopcal.mechanisms.chain import product as multiplied
 from loopcal.mechanisms.effects.gravity import ACCELERATION, Load, end_of
@@ -140,7 +141,7 @@ class Branch:
         """The parameter of what the tool carries, where the masses of the links show it."""
         return (self._named(LOAD),) if self.masses else ()
 
-    @property
+    @cached_property
     def joints(self) -> dict[str, int]:
         """Positions of the steps that joints move; of a joint that moves several, NAME_2, ..."""
         positions: dict[str, int] = {}
