@@ -143,6 +143,16 @@ ANOTHER_DAY = (
         shared="drift-or-model",
     ),
     _consistent_open(
+        "calibration-not-sound",
+        "The calibration itself is not sound, which these poses cannot mend: {why}",
+        "Mend what the calibration says first. Then verify again.",
+        "loopcal calibrate {project}",
+    ),
+    _consistent(
+        "calibration-open",
+        "The calibration itself leaves open: {why}",
+    ),
+    _consistent_open(
         "poses-unlike",
         "{count} not fit the others ({named}); accuracies leave {them} out.",
         "Inspect these poses; measure them again or exclude them, then verify again.",

@@ -180,6 +180,7 @@ def _verified(day: Day, tolerance: float | None, copied: int, repeated: int) -> 
         rare=rare,
         copied=copied,
         repeated=repeated,
+        sound=day.calibrated.sound,
         unlike=tuple(unlike(day.calibrated.conditions, mechanism.pose_constants, known)),
     )
 
