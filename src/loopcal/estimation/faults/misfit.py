@@ -422,6 +422,13 @@ def reach(problem: Problem) -> float:
     return math.hypot(*lengths)
 
 
+def shrunk(problem: Problem) -> bool:
+    """Whether some instrument reads all points in one place, as the machine is large."""
+    size = reach(problem)
+    spreads = [_spread(problem, family) for family in problem.mechanism.families]
+    return any(0.0 < spread <= STAYS * size for spread in spreads)
+
+
 def _swing(problem: Problem) -> dict[str, float]:
     """How far the spread of the outputs moves each loop that contains one, in the loop's unit.
 

@@ -31,6 +31,7 @@ from loopcal.estimation.faults.misfit import (
     missed,
     mounting,
     reach,
+    shrunk,
     undrawn,
     unread,
 )
@@ -151,6 +152,8 @@ class _File:
 
         Of a drawing that is near, so that one step tells.
         """
+        if shrunk(repair.problem) and not shrunk(self.problem):
+            return False  # a machine that all but stands still fits anything
         if self.left > PLAUSIBLE or unread(self.problem):
             return True
         altered = {*repair.quantities}
