@@ -47,6 +47,15 @@ ANOTHER_DAY = (
         shared="drift-or-model",
     ),
     _not_consistent(
+        "more-changed",
+        "The machine is not as calibrated: more than {place.parameters} changed, as on another "
+        "machine of this type.",
+        "Check that these readings are of the machine that was calibrated. If they are, inspect "
+        "the worst poses and calibrate anew.",
+        _PAGE,
+        shared="changed",
+    ),
+    _not_consistent(
         "re-master",
         _NOT_AS_CALIBRATED,
         "Re-master {joints}, or update the calibration with these poses. Then verify again.",
