@@ -25,9 +25,11 @@ static void weigh(const Linear& part, const Noise& noise, const double* weight, 
     EACH store(to.cost + v * LANES, cost[v]);
 }
 
-// 1 / the sd of each loop (m) that the sds of measured quantities give it; 1 where that is none.
+// 1 / the sd of each loop (m) that the sds of measured quantities give it. A loop of exact readings holds at least as
+// well as any other of its pose; 1 where none has an sd.
 static void weights(const Linear& part, const double* sds, const int32_t* own, double* weight) {
     const int m = part.program->loops, k = part.program->quantities;
+    vec most[TV] = {};
     for (int i = 0; i < m; i++) {
         vec square[TV] = {};
         for (int q = 0; q < k; q++)
@@ -39,12 +41,20 @@ static void weights(const Linear& part, const double* sds, const int32_t* own, d
         EACH {
             const vec spread = root(square[v]);
             const ivec usable = (spread > all(0.0)) & (spread < all(INFINITY));
-            vec one = all(1.0);
-            // what is missing says nothing
-            if (own) one = choose(load(sds + own[i] * TILE + v * LANES) == all(INFINITY), all(0.0), one);
-            store(weight + i * TILE + v * LANES, one / choose(usable, spread, all(1.0)));
+            const vec w = choose(usable, all(1.0) / choose(usable, spread, all(1.0)), all(0.0));
+            most[v] = choose(w > most[v], w, most[v]);
+            store(weight + i * TILE + v * LANES, w);
         }
     }
+    for (int i = 0; i < m; i++)
+        EACH {
+            double* const at = weight + i * TILE + v * LANES;
+            const vec exact = choose(most[v] > all(0.0), most[v], all(1.0));
+            vec w = choose(load(at) > all(0.0), load(at), exact);
+            // what is missing says nothing
+            if (own) w = choose(load(sds + own[i] * TILE + v * LANES) == all(INFINITY), all(0.0), w);
+            store(at, w);
+        }
 }
 
 // The damped step (u) of least squares; none where derivatives are no numbers. The longest of it.

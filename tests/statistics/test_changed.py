@@ -87,6 +87,27 @@ def test_a_tool_that_moved_is_mounting_and_its_alias_is_named() -> None:
     assert "--remounted" in str(found)
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_another_machine_of_the_type_is_none_that_changed(seed: int) -> None:
+    """Lengths 0.3 mm and angles 1 mrad otherwise, and a tool of its own."""
+    draw, parameters = np.random.default_rng(seed), arm().mechanism.parameters
+    sizes = {"a": 3e-4, "d": 3e-4, "tool": 1e-3, "alpha": 1e-3, "offset": 1e-3}
+    others = {
+        n: size * draw.standard_normal()
+        for n in parameters.free
+        for stem, size in sizes.items()
+        if n.startswith(f"{stem}_")
+    }
+    consistent = later(7, **others).verdict["consistent"]
+    assert consistent.passed is False
+    assert "another machine of this type" in consistent.words
+
+
+def test_three_changes_are_no_other_machine() -> None:
+    words = later(offset_3=1e-3, a_2=1e-3, tool_x=5e-3).verdict["consistent"].words
+    assert "another machine" not in words
+
+
 @pytest.mark.parametrize(("degrees", "first"), [(0.2, "q6"), (8.0, "tool")])
 def test_what_a_zero_and_a_tool_explain_is_named_by_its_size(degrees: float, first: str) -> None:
     """The reflector goes round the last axis: zeros seldom jump by degrees, tools do by mm."""

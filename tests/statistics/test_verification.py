@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -300,3 +302,25 @@ def test_components_that_nothing_tells_apart_are_sure_together() -> None:
         result = lc.calibrate(arm.truth, data, noise=noise, start="nominal", method="implicit-loop")
         freedoms.append(lc.verify(result, day).innovation.learnt_freedom)
     assert freedoms[0] == pytest.approx(freedoms[1], rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("sound", "code", "passed"),
+    [
+        (True, "unchanged", True),
+        (None, "calibration-open", True),
+        (False, "calibration-not-sound", None),
+    ],
+)
+def test_the_verdict_of_the_calibration_stands_beside_the_answer(
+    sound: bool | None, code: str, passed: bool | None, tmp_path: Path
+) -> None:
+    arm = planar_arm(12)
+    calibrated(arm, 0, 12, estimate=False).save(tmp_path, report=False)
+    document = json.loads((tmp_path / "result.json").read_text())
+    document["verdict"]["sound"] |= {"passed": sound, "words": "Something drifted."}
+    (tmp_path / "result.json").write_text(json.dumps(document))
+    day = elsewhere(arm, 1000, 30).read(sds_of(arm), 5000)
+    consistent = lc.verify(tmp_path, day).verdict["consistent"]
+    assert (consistent.passed, code in consistent.codes) == (passed, True)
+    assert ("Something drifted." in consistent.words) == (sound is not True)

@@ -47,6 +47,15 @@ ANOTHER_DAY = (
         shared="drift-or-model",
     ),
     _not_consistent(
+        "more-changed",
+        "The machine is not as calibrated: more than {place.parameters} changed, as on another "
+        "machine of this type.",
+        "Check that these readings are of the machine that was calibrated. If they are, inspect "
+        "the worst poses and calibrate anew.",
+        _PAGE,
+        shared="changed",
+    ),
+    _not_consistent(
         "re-master",
         _NOT_AS_CALIBRATED,
         "Re-master {joints}, or update the calibration with these poses. Then verify again.",
@@ -141,6 +150,16 @@ ANOTHER_DAY = (
         _PLAN,
         detail="{details} An error of the machine along these poses looks the same.",
         shared="drift-or-model",
+    ),
+    _consistent_open(
+        "calibration-not-sound",
+        "The calibration itself is not sound, which these poses cannot mend: {why}",
+        "Mend what the calibration says first. Then verify again.",
+        "loopcal calibrate {project}",
+    ),
+    _consistent(
+        "calibration-open",
+        "The calibration itself leaves open: {why}",
     ),
     _consistent_open(
         "poses-unlike",

@@ -14,6 +14,7 @@ from loopcal.document.choice import TermEntry
 from loopcal.document.fit import ChiSquared, CovarianceEntry, NoiseEntry
 from loopcal.document.plain import symmetric
 from loopcal.document.result_document import ResultDocument
+from loopcal.document.verdict import Answer
 from loopcal.estimation.result import FitResult
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
@@ -51,7 +52,8 @@ class Calibrated:
     fit used, were no residuals dependent, by which the prior weighed; None is `covariance`;
     scatter: the covariance (n_all, n_all) that the poses themselves show, where it is known;
     hidden: quantities that no sensor reads, and where they usually are [SI]; conditions: in which
-    it was measured (`FitResult.conditions`).
+    it was measured (`FitResult.conditions`); sound: what its verdict says of it, None of a fit that
+    was not judged.
     """
 
     name: str
@@ -70,6 +72,7 @@ class Calibrated:
     scatter: Scatter | None = None
     hidden: Mapping[str, float] = field(default_factory=dict)
     conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    sound: Answer | None = None
 
     @classmethod
     def of(cls, result: FitResult, name: str) -> Calibrated:
@@ -139,6 +142,7 @@ class Calibrated:
             scatter=seen and seen.through(np.eye(len(names))[:, free]),
             hidden={} if stored is None else {q: stored.typical[q] for q in stored.unmeasured},
             conditions={} if stored is None else stored.conditions,
+            sound=None if document.verdict is None else document.verdict.sound,
         )
 
     @property

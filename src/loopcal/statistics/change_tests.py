@@ -37,6 +37,7 @@ from numpy.typing import NDArray
 from loopcal.arrays import Array
 from loopcal.errors import NoTrustworthyResult
 from loopcal.small_samples import f_limit, f_tail, t_quantile
+from loopcal.statistics import changed
 from loopcal.statistics.another_day import Day
 from loopcal.statistics.changed import LEVEL, PLACED, POWER, Candidate, Change, WhatChanged
 from loopcal.statistics.estimated import Estimated
@@ -44,9 +45,6 @@ from loopcal.statistics.innovation import Innovation, Linearised
 from loopcal.statistics.possible_changes import BETWEEN_DAYS, Possible, possible
 from loopcal.statistics.replacing import ASTRAY, Replaced
 
-# Record 0053.
-_MOST = 3
-"""Changes that are sought; with more the machine is calibrated anew."""
 # Chosen, not derived: a cap, and a step that changes no p-value.
 _ROUNDS, _SETTLED = 8, 1e-3
 """Linearisations of accepted changes, and the step [sds] that ends them."""
@@ -101,7 +99,7 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
     p_values: dict[int, float] = {}
     rivals: dict[int, tuple[int, ...]] = {}
     given_up: set[int] = set()  # what was given up is not tried again: the search ends
-    while len(chosen) < _MOST:
+    while len(chosen) < changed.SOUGHT:
         tests = {i: p for i, p in system.tests(chosen).items() if i not in given_up}
         if not tests or min(tests.values()) >= LEVEL:
             break

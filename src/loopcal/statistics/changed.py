@@ -22,6 +22,9 @@ from loopcal.statistics.innovation import Innovation
 LEVEL = 0.015
 """p-value of either test, of the whole and of single changes. With the searches of the run for
 slips and for poses that do not fit, at 1 % each, together 5 %."""
+# Record 0053.
+SOUGHT = 3
+"""Changes that are sought; with more the machine is calibrated anew."""
 # Chosen, not derived: the usual power of a statement on what is missed.
 POWER = 0.9
 """With which a change of the stated smallest size is seen."""
@@ -210,6 +213,8 @@ class WhatChanged:
         """Of the fact that these changes are."""
         if self.verdict in ("unchanged", DRIFT_OR_CHANGE):
             return self.verdict
+        if len(self.found) == SOUGHT and self.left is not None and self.left < LEVEL:
+            return "more-changed"
         mounted = all(change.mounted for change in self.found)
         if self.verdict == "re-master":
             if not mounted and any(change.conditional for change in self.found):
@@ -249,7 +254,8 @@ class WhatChanged:
     def _seen(self) -> list[str]:
         lines = ["what changed since the calibration"]
         for change in self.found:
-            lines.append(f"  {change.words} (95 %), {p_words(change.p_value)}")
+            held = "" if self.code == "more-changed" else " (95 %)"
+            lines.append(f"  {change.words}{held}, {p_words(change.p_value)}")
             if change.alike:
                 names = _some([other.words for other in change.alike])
                 lines.append(f"    not distinguishable at these poses: {names}")

@@ -181,6 +181,7 @@ def _verified(day: Day, tolerance: float | None, copied: int, repeated: int) -> 
         rare=rare,
         copied=copied,
         repeated=repeated,
+        sound=day.calibrated.sound,
         unlike=tuple(unlike(day.calibrated.conditions, mechanism.pose_constants, known)),
     )
 
@@ -340,7 +341,11 @@ def _expected(
     # Squares are averaged, for the mean of roots is smaller than the root of the mean.
     rms, count = float(np.sqrt(np.square(drawn_rms).mean())), np.isfinite(differences).all(axis=0)
     expected = Distances(mean, rms, p95, largest, int(count.sum()))
-    return expected, lambda other: float((drawn_rms >= other).mean())
+    # The noise that is left varies as chi-squared of R - rank: 2 / (R - rank) = 2 / R + 2 / w.
+    R = len(linear.e)
+    w = R * (R - linear.rank) / max(linear.rank, 1)
+    tail = drawn_rms * np.sqrt(draw.chisquare(w, len(drawn_rms)) / w) if w > 0.0 else drawn_rms
+    return expected, lambda other: float((tail >= other).mean())
 
 
 def _reading_noise(

@@ -76,7 +76,8 @@ class Verification:
     the others; rare: probability of an rms at least so large, if the stated covariance holds;
     copied: rows that copy others; repeated: poses of the calibration itself; unlike: a sentence for
     each temperature or load outside the range of the calibration; read_as: how other columns than
-    those of the first day were read; files: names of result and readings, for command lines.
+    those of the first day were read; sound: the answer of the calibration's own verdict, None where
+    it was not judged; files: names of result and readings, for command lines.
     """
 
     __repr__ = brief
@@ -102,6 +103,7 @@ class Verification:
     repeated: int = 0
     unlike: tuple[str, ...] = ()
     read_as: str = ""
+    sound: Answer | None = None
     files: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
@@ -130,7 +132,7 @@ class Verification:
             return [fact("day-at-fault", Where(readings=readings), faults=words)]
         if self.innovation.p_value is None or self.changes is None:
             return [fact("no-redundancy")]
-        stated = (self._moved(), self._larger(), self._unlike(), *self._rows())
+        stated = (self._moved(), self._larger(), self._unlike(), self._unsound(), *self._rows())
         facts = [one for one in stated if one is not None]
         if self.changes.code != "unchanged" or not any(one.code in _AGAINST for one in facts):
             facts.append(self._changed(self.changes))
@@ -182,6 +184,13 @@ class Verification:
         count, them = (f"{len(bad)} poses do", "them") if len(bad) > 1 else ("1 pose does", "it")
         words = {"named": named, "count": count, "them": them}
         return fact("poses-unlike", Where(poses=bad), {"poses": len(bad)}, **words)
+
+    def _unsound(self) -> Fact | None:
+        """What the calibration's own verdict holds against it, or leaves open."""
+        if self.sound is None or self.sound.passed:
+            return None
+        code = "calibration-open" if self.sound.passed is None else "calibration-not-sound"
+        return fact(code, why=self.sound.words)
 
     def _rows(self) -> Iterator[Fact]:
         if self.copied:

@@ -14,8 +14,10 @@ from analyses.machines import STEWART_GOUGH
 from loopcal.estimation.problem.problem import build_problem
 from loopcal.estimation.problem.starting import start_corrections
 from loopcal.estimation.solve.sweep import Sweeper
+from loopcal.expressions.choice import AVAILABLE, ENGINES
 from loopcal.mechanisms.machine import assemble
 from loopcal.mechanisms.parallel.stewart_gough import stewart_gough
+from loopcal.mechanisms.parallel.three_rrr import three_rrr
 
 SDS = {"*": 5e-5, "leg_*": 1e-5, "platform_*": np.inf}
 POSITION = ["platform_x", "platform_y", "platform_z"]
@@ -74,3 +76,24 @@ def test_one_stray_pose_is_sought_elsewhere() -> None:
     distance, turn = apart(found_at_start(mechanism, made), made.quantities)
     assert distance < 1e-3
     assert turn < 1e-3
+
+
+@pytest.mark.parametrize("engine", ENGINES if AVAILABLE else ["numpy"])
+def test_loops_of_exact_readings_hold_as_well_as_points(
+    engine: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Points beside drives that count as exact: the platform stays in the form of its home."""
+    monkeypatch.setenv("LOOPCAL_ENGINE", engine)
+    station = {"base_x": 0.05, "base_y": -0.03, "base_rz": 0.9, "tool_x": 0.02, "tool_y": 0.01}
+    machine = assemble(three_rrr(), [lc.instruments.point(dimension=2)])
+    draw, parameters = np.random.default_rng(1), machine.parameters
+    links = [n for n in parameters.names if n[0] in "abpd" and not n.startswith("base")]
+    truth = {n: parameters[n].nominal + 4e-4 * draw.standard_normal() for n in links} | station
+    where = {"platform_x": (-0.045, 0.045), "platform_y": (-0.045, 0.045)}
+    poses = lc.random_poses(where | {"platform_rz": (-0.3, 0.3)}, 200, seed=2)
+    noise = lc.Noise({"theta_*": 0.0, "platform_*": np.inf, "[xy]": 1e-4})
+    made = lc.simulate(machine, poses, noise=noise, seed=3, truth=truth)
+    problem = build_problem(machine.with_nominal(station), made.dataset, noise)
+    x = problem.readings + start_corrections(Sweeper(problem), problem.start)
+    turn = x[machine.tape.quantities.index("platform_rz")]
+    assert np.abs(np.sin(0.5 * (turn - made.quantities["platform_rz"]))).max() < 0.02

@@ -43,6 +43,10 @@ _ROUNDS, _STEPS = 3, 10
 # As in docs/decisions/0046.
 _MOUNTED = 5e-3
 """By how much [m] what is mounted on a body may be off the drawing."""
+# Chosen, not derived: below what machines are calibrated in, above how far they miss a point.
+STAYS = 0.01
+"""Points within this share of the machine's lengths are one that it held while its joints moved:
+how far they spread is its error, not how large its motions are."""
 _SPREAD = ("point", "pose", "spherical", "polar", "length")
 """Forms of readings whose own spread says how large the machine's motions are."""
 
@@ -377,10 +381,7 @@ class _Scales:
 
 def _scales(problem: Problem) -> _Scales:
     mechanism = problem.mechanism
-    drawn = _drawn(mechanism)
-    reach = math.sqrt(
-        sum(p.nominal**2 for p in mechanism.parameters if p.unit == "m" and p.name in drawn)
-    )
+    size = reach(problem)
     whole = Family("", mechanism.tape.loops, mechanism.outputs)
     families = mechanism.families or (whole,)
     units = {
@@ -393,7 +394,9 @@ def _scales(problem: Problem) -> _Scales:
     scale: dict[str, float] = {}
     spreads: list[tuple[float, str]] = []
     for family in families:
-        spread = _spread(problem, family) or reach or 1.0
+        spread = _spread(problem, family)
+        if not spread > STAYS * size:
+            spread = size or 1.0
         for loop in family.loops:
             usual = swing.get(loop, spread) if loop in other else spread
             scale[loop] = 1.0 if units[loop] == "rad" else usual
@@ -402,9 +405,28 @@ def _scales(problem: Problem) -> _Scales:
             spreads.append((spread, "m"))
         elif read:
             spreads.append((scale[family.loops[0]] if read[0] != "rad" else 1.0, read[0]))
-    loops = np.array([[scale.get(loop, reach or 1.0)] for loop in mechanism.tape.loops])
+    loops = np.array([[scale.get(loop, size or 1.0)] for loop in mechanism.tape.loops])
     spreads.sort(key=lambda entry: entry[1] != "m")
     return _Scales(loops, *(spreads[0] if spreads else (1.0, "1")))
+
+
+def reach(problem: Problem) -> float:
+    """How large the machine is [m]: the root of the squares of the lengths that are drawn, and of
+    the sds of what its slides read."""
+    mechanism, drawn = problem.mechanism, _drawn(problem.mechanism)
+    lengths = [p.nominal for p in mechanism.parameters if p.unit == "m" and p.name in drawn]
+    seen = {q for family in mechanism.families for q in family.readings}
+    for q, values in zip(mechanism.tape.quantities, problem.readings, strict=True):
+        if mechanism.quantities[q] == "m" and q not in {*seen, *mechanism.outputs}:
+            lengths.append(float(np.std(values)))
+    return math.hypot(*lengths)
+
+
+def shrunk(problem: Problem) -> bool:
+    """Whether some instrument reads all points in one place, as the machine is large."""
+    size = reach(problem)
+    spreads = [_spread(problem, family) for family in problem.mechanism.families]
+    return any(0.0 < spread <= STAYS * size for spread in spreads)
 
 
 def _swing(problem: Problem) -> dict[str, float]:

@@ -23,12 +23,15 @@ from loopcal.document.plain import finite
 from loopcal.errors import InputError
 from loopcal.estimation.faults.misfit import (
     HALF,
+    STAYS,
     beside,
     fit_of_all,
     left_in,
     misfit,
     missed,
     mounting,
+    reach,
+    shrunk,
     undrawn,
     unread,
 )
@@ -37,7 +40,7 @@ from loopcal.estimation.problem.constants import standing
 from loopcal.estimation.problem.problem import Problem, taken
 from loopcal.lazy import cached_property
 from loopcal.mechanisms.mechanism import PIXELS, Family
-from loopcal.presentation.shown import enumerated, size, unit_shown
+from loopcal.presentation.shown import enumerated, size, unit_shown, with_unit
 
 if TYPE_CHECKING:
     from loopcal.estimation.faults.repairs import Repair
@@ -70,6 +73,8 @@ UNREPAIRED = ("rows-shuffled", "wrong-machine")
 # Chosen, not derived: above the scatter of quantiles of some hundred points.
 SAME = 0.05
 """Two sets of points have the same shape if the quantiles of their distances differ by less."""
+HELD = "held-point"
+"""Code of an instrument to which a machine held one point."""
 MOST_READ, MOST_UNREAD = 1000, 200
 """So many repairs are tried, the second where each takes a search for what nobody reads: at most
 some ten seconds of one core, whatever the machine."""
@@ -147,6 +152,8 @@ class _File:
 
         Of a drawing that is near, so that one step tells.
         """
+        if shrunk(repair.problem) and not shrunk(self.problem):
+            return False  # a machine that all but stands still fits anything
         if self.left > PLAUSIBLE or unread(self.problem):
             return True
         altered = {*repair.quantities}
@@ -207,6 +214,14 @@ class _File:
                     words = f"{name} reads the same value in every pose, although the machine moves"
                     unit = self.problem.mechanism.quantities[name]
                     faults.append(ColumnFault((name,), words, away, None, True, "constant", unit))
+            places = family.placement is not None
+            if places and all(_held(self.problem, p) for p in (computed, measured)):
+                within = 2.0 * float(np.nanmax(np.nanstd(measured, axis=1)))
+                words = (
+                    f"{enumerated(names)} stay within {with_unit(within, 'm')} although the joints "
+                    "move: the machine held one point, so nothing says where the instrument stands"
+                )
+                faults.append(ColumnFault(tuple(names), words, within, None, True, HELD, "m"))
         return tuple(faults)
 
 
@@ -359,6 +374,12 @@ def _same_shape(problem: Problem) -> bool:
         if np.abs(one - other).max() > SAME * other.max():
             return False
     return bool(seen)
+
+
+def _held(problem: Problem, points: Array) -> bool:
+    """Whether points (c, N) lie all but in one place, as in a test of rotary axes."""
+    points = points[:, np.isfinite(points).all(axis=0)]
+    return points.shape[1] > 0 and float(np.std(points, axis=1).max()) <= STAYS * reach(problem)
 
 
 def _between(points: Array) -> Array:

@@ -261,12 +261,17 @@ def search(engine: Engine, block: Block) -> Array:
 
 
 def _weights(evaluate: Evaluate, x: Array, constants: Array, noise: BlockNoise) -> Array:
-    """1 / the sd of each loop (m, b) that the sds of measured quantities give it; 1 if none."""
+    """1 / the sd of each loop (m, b) that the sds of measured quantities give it.
+
+    A loop of exact readings holds at least as well as any other of its pose; 1 where none has
+    an sd.
+    """
     sure = np.where(np.isinf(noise.sd), 0.0, noise.sd)
     slopes = evaluate(x, constants).by_quantity
     spread = np.sqrt(np.square(slopes * sure[:, None]).sum(axis=0))
     usable = np.isfinite(spread) & (spread > 0.0)
-    weight = np.where(usable, 1.0 / np.where(usable, spread, 1.0), 1.0)
+    weight = np.where(usable, 1.0 / np.where(usable, spread, 1.0), 0.0)
+    weight = np.where(usable, weight, np.where(usable.any(axis=0), weight.max(axis=0), 1.0))
     if noise.predicted:  # what is missing says nothing
         weight[np.broadcast_to(np.isinf(noise.sd[list(noise.predicted)]), weight.shape)] = 0.0
     return weight

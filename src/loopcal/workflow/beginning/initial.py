@@ -15,7 +15,7 @@ import numpy as np
 
 from loopcal.document.aliases import of_project
 from loopcal.errors import InputError, UsageError
-from loopcal.estimation.faults.search import column_faults
+from loopcal.estimation.faults.search import HELD, column_faults
 from loopcal.estimation.mounted import Mounted
 from loopcal.estimation.problem.problem import build_problem
 from loopcal.files.atomic import write_files
@@ -572,8 +572,11 @@ def _refuse_faults(mechanism: Mechanism, dataset: Dataset) -> None:
     """Raise InputError for a fault of the whole file that no unit explains."""
     faults = column_faults(build_problem(mechanism, dataset, None))
     if faults:
+        words = faults[0].words
+        if faults[0].code != HELD:
+            words = f"the readings do not belong to this machine: {words}"
         raise InputError(
-            f"the readings do not belong to this machine: {faults[0].words}",
+            words,
             code="implausible-readings",
             remedy=_REMEDIES.get(faults[0].code, "correct the file or the robot's description"),
         )
@@ -583,6 +586,8 @@ _REMEDIES = {
     "reversed": "add a column direction to the table of the robot, -1 for this joint; or correct "
     "the sign in the file",
     "exchanged": "exchange the headers of these columns",
+    HELD: "state in a mechanism file where the target is, with the instrument in the machine's own "
+    "frame (station = false), and name your columns in a project",
     "rows-shifted": "give joints and instrument the same pose ids",
     "rows-shuffled": "give joints and instrument the same pose ids",
 }
