@@ -13,7 +13,9 @@ import loopcal as lc
 from loopcal.document.findings import Undetermined
 from loopcal.statistics.change_points import find_shifts
 from loopcal.statistics.verdict import findings_of
+from tests.reference.simulated import planar_arm
 from tests.statistics.test_camera_changes import LENS, PLACE, POINTS, SDS
+from tests.statistics.test_comparison import sds_of
 
 SHARE = 0.02
 FILES = {"project": "project.toml", "result": "result"}
@@ -63,7 +65,25 @@ def test_a_delay_is_a_share_of_the_way_to_a_neighbour(step: int) -> None:
     assert delay.share == pytest.approx(SHARE, abs=0.1 * SHARE)
     assert result.verdict is not None
     (one,) = (f for f in result.verdict.findings if f.code == "poses-delayed")
-    assert f"to the {'next' if step > 0 else 'last'} pose" in one.title
+    assert one.title.startswith(
+        "The machine's readings are from "
+        + ("after each pose is left" if step > 0 else "before each pose is reached")
+    )
+    assert f"% of the way {'to the next' if step > 0 else 'from the last'} one" in one.title
+
+
+def test_an_instrument_may_read_before_the_machine_stands() -> None:
+    arm = planar_arm(40)
+    noise = lc.Noise(sds_of(arm))
+    q = {name: arm.read(sds_of(arm), 1)[name] for name in ("phi2", "phi3")}
+    left = {name: SHARE * (np.roll(values, 1) - values) for name, values in q.items()}
+    true = {name: values + left[name] for name, values in q.items()}
+    data = lc.simulate(arm.truth, true, noise=noise, seed=1).dataset
+    read = data.with_readings({name: data[name] - left[name] for name in q})
+    delay = find_shifts(lc.calibrate(arm.truth, read, noise=noise, method="implicit-loop")).delay
+    assert delay is not None
+    assert not delay.ahead
+    assert delay.share == pytest.approx(-SHARE, abs=0.1 * SHARE)
 
 
 def test_images_far_off_the_machine_leave_the_verdict_open() -> None:

@@ -136,7 +136,8 @@ class ScaleEntry:
 
 @dataclass(frozen=True)
 class DelayEntry:
-    """What was read of each pose is a share of the way to a neighbour off, alike in all poses."""
+    """What was read of the machine is a share of the way to a neighbour off, alike in all poses;
+    below zero what was read by the instrument is."""
 
     ahead: bool
     """Whether towards the next pose, not towards the last one."""

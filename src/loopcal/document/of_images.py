@@ -13,8 +13,7 @@ _MOMENT = "Read each pose while the machine stands, at the moment of its image o
 OF_IMAGES = (
     _not_sound(
         "poses-delayed",
-        "What is read of each pose is off by {share:2%} of the way to the {neighbour} pose (sd "
-        "{sd:2%}).",
+        "The {whose} readings are from {moment} (sd {sd:2%}).",
         _MOMENT,
         _CHECK,
         detail="Machine and instrument were not read at the same moment, or the machine did not "

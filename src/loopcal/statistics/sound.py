@@ -18,7 +18,7 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Fact, Figure, Where, fact
 from loopcal.mechanisms.effects.effect import RUN_DRIFTS, STATION_SCALES
 from loopcal.mechanisms.structure.structured import GEOMETRY_TERMS
-from loopcal.presentation.shown import percent
+from loopcal.presentation.shown import percent, significant
 from loopcal.small_samples import t_quantile
 from loopcal.statistics.calibrated import rejected_by, residual_factor
 from loopcal.statistics.judged_machine import far_from_nominal, off_the_drawing, prior_tension
@@ -319,8 +319,15 @@ def _delayed(document: ResultDocument) -> Fact | None:
     one = document.delay
     if one is None or one.p_value >= RARE:
         return None
-    numbers = {"share": one.share, "sd": one.sd}
-    return fact("poses-delayed", numbers=numbers, neighbour="next" if one.ahead else "last")
+    share = f"{significant(100.0 * abs(one.share), 2)} % of the way"
+    return fact(
+        "poses-delayed",
+        numbers={"share": one.share, "sd": one.sd},
+        whose="machine's" if one.share > 0.0 else "instrument's",
+        moment=f"after each pose is left: {share} to the next one is done"
+        if one.ahead
+        else f"before each pose is reached: {share} from the last one is left",
+    )
 
 
 def _contradict(document: ResultDocument) -> Fact | None:
