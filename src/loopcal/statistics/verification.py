@@ -336,20 +336,15 @@ def _expected(
     follows = placement.directions @ (linear.solve @ linear.A)[:g]
     machine = S.by_parameter @ (follows - linear.root)
     noise = _reading_noise(problem, S.by_reading, outputs, residual)
+    # The placement takes up as many equations as it has rank, and their share of the noise.
+    left = (len(linear.e) - linear.rank) / max(len(linear.e), 1)
+    noise = noise * np.sqrt(max(left, 0.0) * linear.factor)
     # Seeded, so that the same readings get the same answer.
     draw = np.random.default_rng(0)
-    # The placement takes up as many equations as it has rank, and their share of the noise: of a
-    # sum of squares with R degrees of freedom a beta((R - rank) / 2, rank / 2) is left, and the
-    # product is chi-squared of R - rank (Johnson, Kotz, Balakrishnan, Continuous Univariate
-    # Distributions 2, chapter 25).
-    freedom = len(linear.e) - linear.rank
-    left = np.full(_DRAWS, float(freedom > 0))
-    if freedom > 0 and linear.rank > 0:
-        left = draw.beta(freedom / 2.0, linear.rank / 2.0, _DRAWS)
     samples = []
-    for share in left * linear.factor:
+    for _ in range(_DRAWS):
         h, v = draw.standard_normal(machine.shape[2]), draw.standard_normal(noise.shape[::2])
-        errors = machine @ h + np.sqrt(share) * np.einsum("nok,nk->no", noise, v)
+        errors = machine @ h + np.einsum("nok,nk->no", noise, v)
         drawn = np.full(measured.shape, np.nan)
         drawn[: len(outputs)] = np.where(np.isfinite(differences), errors.T, np.nan)
         drawn[len(outputs) :] = 0.0
@@ -367,7 +362,13 @@ def _expected(
     # Squares are averaged, for the mean of roots is smaller than the root of the mean.
     rms, count = float(np.sqrt(np.square(drawn_rms).mean())), np.isfinite(differences).all(axis=0)
     expected = Distances(mean, rms, p95, largest, int(count.sum()))
-    return expected, lambda other: float((drawn_rms >= other).mean())
+    # A draw of R equations has the relative variance 2 / R of chi-squared, the noise that is left
+    # 2 / (R - rank). A factor chi-squared(w) / w adds the rest: 2 / (R - rank) = 2 / R + 2 / w, to
+    # first order. Exact for noise alone is a beta((R - rank) / 2, rank / 2) of it.
+    R = len(linear.e)
+    w = R * (R - linear.rank) / max(linear.rank, 1)
+    tail = drawn_rms * np.sqrt(draw.chisquare(w, len(drawn_rms)) / w) if w > 0.0 else drawn_rms
+    return expected, lambda other: float((tail >= other).mean())
 
 
 def _reading_noise(
