@@ -233,6 +233,14 @@ def test_a_change_is_named_with_what_asks_for_another_remedy(
     assert change.among.endswith(words)
 
 
+def test_the_zero_of_a_slide_is_not_blamed_where_the_machine_may_have_grown() -> None:
+    """A spindle that grew by 30 um along Z reads as the zero of Z."""
+    change = Change("Z", "zero", "m", 3e-5, 1e-6, 2.8e-5, 3.2e-5, 1e-9, ())
+    what = WhatChanged("re-master", (change,), (), Innovation(40.0, 20, None, 1e-9), 1.0, 0.5)
+    assert what.code == "re-master-slides"
+    assert what.joints == ("Z",)
+
+
 def test_the_zero_of_a_slide_has_the_sizes_of_a_length() -> None:
     """Half a metre, which it had as an angle has half a radian, was named at 47 mm."""
     given = setup("origins, two prismatic, point")

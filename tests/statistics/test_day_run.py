@@ -201,6 +201,19 @@ def test_the_poses_of_the_calibration_prove_nothing() -> None:
     assert "own-poses" in found.verdict["consistent"].codes
 
 
+def test_poses_of_the_calibration_are_recognised_however_they_were_rounded() -> None:
+    """Degrees with five decimals and millimetres with three; other poses are not taken for them."""
+    result = calibrated(WORLD)
+    readings = result.dataset.readings
+    rounded = {
+        q: np.round(v * 1e3, 3) / 1e3 if q in "xyz" else np.radians(np.round(np.degrees(v), 5))
+        for q, v in readings.items()
+    }
+    assert lc.verify(result, {q: v[:30] for q, v in rounded.items()}).repeated == 30
+    noisy = {q: v + 2e-5 * (q in "xyz") for q, v in readings.items()}
+    assert lc.verify(result, noisy).repeated == 0
+
+
 def test_machines_as_calibrated_are_seldom_called_otherwise() -> None:
     """Twelve clean days of each machine: at 5 % three or more alarms of 24 are rarer than 1 in 8,
     five or more rarer than 1 in 100."""

@@ -15,11 +15,12 @@ from analyses.instruments import setup
 from analyses.verify import LEVEL, Rates, another_day, run
 from loopcal.errors import NoTrustworthyResult
 from loopcal.mechanisms.station import Station
-from loopcal.statistics.another_day import as_learnt
+from loopcal.statistics.another_day import Day, as_learnt
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.innovation import Innovation
 from loopcal.statistics.replacing import freed, mounted
 from loopcal.statistics.verdict import Quantile, kept
+from loopcal.statistics.verification import _expected as errors_expected
 from loopcal.statistics.verification import verify
 from tests.reference.machines import dh_arm
 from tests.reference.simulated import Simulated, ma1400, planar_arm
@@ -249,6 +250,22 @@ def test_a_platform_is_verified_with_a_draw_wire() -> None:
     made = run("platform draw-wire", range(1))
     assert made.unchanged[0] > 0.01
     assert made.moved[0] < 1e-6
+
+
+def test_the_errors_of_few_poses_vary_with_the_freedom_that_their_placement_leaves() -> None:
+    """Two poses of a plane have four equations, and their placement takes up three."""
+    arm = planar_arm(300)
+    sds = {q: 1e-4 if q in arm.truth.outputs else 1e-7 for q in arm.truth.quantities}
+    noise = lc.Noise(sds)
+    result = lc.calibrate(arm.truth, arm.read(sds, 1), noise=noise, method="implicit-loop")
+    day = elsewhere(arm, 5, 2).read(sds, 2)
+    linear = Day.of(Calibrated.of(result, ""), day, None).linearised()
+    assert (len(linear.e), linear.rank) == (4, 3)
+    expected, chance = errors_expected(linear, None)
+    assert expected is not None
+    for p, quantile in ((0.5, 0.455), (0.2, 1.642), (0.05, 3.841)):  # chi-squared of 1
+        drawn = chance(expected.rms * np.sqrt(quantile))
+        assert abs(drawn - p) < 3.0 * np.sqrt(p * (1.0 - p) / 200)
 
 
 def test_parameters_that_are_known_exactly_are_no_obstacle() -> None:

@@ -62,6 +62,14 @@ ANOTHER_DAY = (
         _UPDATE,
     ),
     _not_consistent(
+        "re-master-slides",
+        _NOT_AS_CALIBRATED,
+        "Verify at the temperature of the calibration: a spindle or column that grew looks the "
+        "same. If it stays, re-master {joints}, or update the calibration with these poses.",
+        _VERIFY,
+        shared="re-master",
+    ),
+    _not_consistent(
         "re-master-first",
         _NOT_AS_CALIBRATED,
         "The zero of {joints} explains these poses about as well: re-master it, then verify again. "

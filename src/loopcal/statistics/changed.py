@@ -220,6 +220,8 @@ class WhatChanged:
             if not mounted and any(change.conditional for change in self.found):
                 return "conditions-first"
             alone = all(change.kind == "zero" for change in self.found)
+            if alone and any(change.unit == "m" for change in self.found):
+                return "re-master-slides"
             return "re-master" if alone else "re-master-first"
         kinds = {change.kind for change in self.found}
         if len(kinds) == 1 and not kinds.isdisjoint(_CONDITIONS):

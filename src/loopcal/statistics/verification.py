@@ -52,6 +52,8 @@ _DRAWS = 200
 """Of the errors that the stated covariance leads one to expect."""
 # Chosen, not derived: what a reader looks at.
 _WORST = 5
+_ROUNDED = 1e-6
+"""Share of a column's span by which the same reading may differ between two files."""
 
 
 def verify(
@@ -104,21 +106,40 @@ def verified(
 
 
 def _repeated(calibrated: Calibrated, data: Dataset) -> int:
-    """How many poses have the very readings of the calibration."""
-    if calibrated.poses is None:
-        return 0
+    """How many poses have the readings of a pose of the calibration, however they were rounded.
+
+    Equal poses are neighbours along any direction, so only those near along one are compared.
+    """
     earlier = calibrated.poses
-    read = [
-        q for q in calibrated.mechanism.quantities if q in data.readings and q in earlier.readings
-    ]
-    if not read:
+    if earlier is None:
         return 0
-    # As many digits as files of results hold.
-    rows, others = (
-        {tuple(f"{v:.9g}" for v in row) for row in zip(*(d.readings[q] for q in read), strict=True)}
-        for d in (data, earlier)
-    )
-    return len(rows & others)
+    both = [
+        (earlier.readings[q], data.readings[q])
+        for q in calibrated.mechanism.quantities
+        if q in data.readings and q in earlier.readings and np.isfinite(earlier.readings[q]).any()
+    ]
+    spans = [float(np.nanmax(before) - np.nanmin(before)) for before, _ in both]
+    varied = [
+        (before / (_ROUNDED * span), now / (_ROUNDED * span))
+        for (before, now), span in zip(both, spans, strict=True)
+        if 0.0 < span < np.inf
+    ]
+    if not varied:
+        return 0
+    # A missing reading equals a missing one, and no other.
+    before, now = (np.nan_to_num(np.array(rows).T, nan=1e12) for rows in zip(*varied, strict=True))
+    # Seeded; a random direction keeps the poses of a grid apart.
+    direction = np.random.default_rng(0).uniform(0.5, 1.0, before.shape[1])
+    along = before @ direction
+    order = np.argsort(along)
+    before, along = before[order], along[order]
+    first = np.searchsorted(along, now @ direction - direction.sum())
+    last = np.searchsorted(along, now @ direction + direction.sum(), side="right")
+    same = np.zeros(len(now), dtype=bool)
+    for step in range(int((last - first).max(initial=0))):
+        near = np.flatnonzero((first + step < last) & ~same)
+        same[near] = (np.abs(before[first[near] + step] - now[near]) <= 1.0).all(axis=1)
+    return int(same.sum())
 
 
 def check_tolerance(tolerance: float | None) -> None:
@@ -341,7 +362,9 @@ def _expected(
     # Squares are averaged, for the mean of roots is smaller than the root of the mean.
     rms, count = float(np.sqrt(np.square(drawn_rms).mean())), np.isfinite(differences).all(axis=0)
     expected = Distances(mean, rms, p95, largest, int(count.sum()))
-    # The noise that is left varies as chi-squared of R - rank: 2 / (R - rank) = 2 / R + 2 / w.
+    # A draw of R equations has the relative variance 2 / R of chi-squared, the noise that is left
+    # 2 / (R - rank). A factor chi-squared(w) / w adds the rest: 2 / (R - rank) = 2 / R + 2 / w, to
+    # first order. Exact for noise alone is a beta((R - rank) / 2, rank / 2) of it.
     R = len(linear.e)
     w = R * (R - linear.rank) / max(linear.rank, 1)
     tail = drawn_rms * np.sqrt(draw.chisquare(w, len(drawn_rms)) / w) if w > 0.0 else drawn_rms
