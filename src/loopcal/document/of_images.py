@@ -13,7 +13,7 @@ _MOMENT = "Read each pose while the machine stands, at the moment of its image o
 OF_IMAGES = (
     _not_sound(
         "poses-delayed",
-        "The {whose} readings are from {moment} (sd {sd:2%}).",
+        "The {whose} readings are from {moment} (sd {spread} %).",
         _MOMENT,
         _CHECK,
         detail="Machine and instrument were not read at the same moment, or the machine did not "

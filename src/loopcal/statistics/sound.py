@@ -323,6 +323,7 @@ def _delayed(document: ResultDocument) -> Fact | None:
     return fact(
         "poses-delayed",
         numbers={"share": one.share, "sd": one.sd},
+        spread=significant(100.0 * one.sd, 2),
         whose="machine's" if one.share > 0.0 else "instrument's",
         moment=f"after each pose is left: {share} to the next one is done"
         if one.ahead
