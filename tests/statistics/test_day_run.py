@@ -12,6 +12,8 @@ import pytest
 
 import loopcal as lc
 from analyses.gauntlet_worlds import Run, World, bending
+from loopcal.statistics.calibrated import Calibrated
+from loopcal.statistics.verification import _repeated
 
 Rng = np.random.Generator
 WORLD = World("six", poses=100)
@@ -212,6 +214,18 @@ def test_poses_of_the_calibration_are_recognised_however_they_were_rounded() -> 
     assert lc.verify(result, {q: v[:30] for q, v in rounded.items()}).repeated == 30
     noisy = {q: v + 2e-5 * (q in "xyz") for q, v in readings.items()}
     assert lc.verify(result, noisy).repeated == 0
+
+
+def test_so_are_those_of_a_joint_that_hardly_moved() -> None:
+    """It is rounded like the others, by more than its span shows."""
+    first = Calibrated.of(calibrated(WORLD), "first")
+    assert first.poses is not None
+    (joint, *_), span = first.mechanism.joints, np.linspace(0.0, 1e-6, 100)
+    poses = first.poses.with_readings({joint: span})
+    read = {
+        q: np.round(v, 6) if q in first.mechanism.joints else v for q, v in poses.readings.items()
+    }
+    assert _repeated(replace(first, poses=poses), poses.with_readings(read)) == 100
 
 
 def test_machines_as_calibrated_are_seldom_called_otherwise() -> None:

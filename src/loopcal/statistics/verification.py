@@ -52,8 +52,9 @@ _DRAWS = 200
 """Of the errors that the stated covariance leads one to expect."""
 # Chosen, not derived: what a reader looks at.
 _WORST = 5
-_ROUNDED = 1e-6
-"""Share of a column's span by which the same reading may differ between two files."""
+_ROUNDED, _TURNED = 1e-6, 1e-5
+"""Share of a span by which the same reading may differ between two files, and of joints: a program
+repeats its joints, and the noise of what the instruments read tells its runs."""
 
 
 def verify(
@@ -113,17 +114,21 @@ def _repeated(calibrated: Calibrated, data: Dataset) -> int:
     earlier = calibrated.poses
     if earlier is None:
         return 0
-    both = [
-        (earlier.readings[q], data.readings[q])
-        for q in calibrated.mechanism.quantities
-        if q in data.readings and q in earlier.readings and np.isfinite(earlier.readings[q]).any()
-    ]
-    spans = [float(np.nanmax(before) - np.nanmin(before)) for before, _ in both]
-    varied = [
-        (before / (_ROUNDED * span), now / (_ROUNDED * span))
-        for (before, now), span in zip(both, spans, strict=True)
-        if 0.0 < span < np.inf
-    ]
+    mechanism = calibrated.mechanism
+    read = [q for q in mechanism.quantities if q in data.readings and q in earlier.readings]
+    # Readings of one unit share a span: a joint that hardly moved is rounded like the others.
+    spans, groups = dict[tuple[str, bool], float](), dict[str, tuple[str, bool]]()
+    for q in read:
+        before = earlier.readings[q]
+        if np.isfinite(before).any():
+            groups[q] = mechanism.quantities[q], q in mechanism.joints
+            span = float(np.nanmax(before) - np.nanmin(before))
+            spans[groups[q]] = max(spans.get(groups[q], 0.0), span)
+    varied = []
+    for q, group in groups.items():
+        if 0.0 < spans[group] < np.inf:
+            within = (_TURNED if group[1] else _ROUNDED) * spans[group]
+            varied.append((earlier.readings[q] / within, data.readings[q] / within))
     if not varied:
         return 0
     # A missing reading equals a missing one, and no other.
