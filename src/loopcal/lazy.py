@@ -25,4 +25,10 @@ if not TYPE_CHECKING and sys.version_info < (3, 12):
             return kept[self.attrname]
 
 
-__all__ = ["cached_property"]
+def keep(source: Any, target: Any, of: type) -> None:
+    """Give another object what was computed of the properties that this class itself has."""
+    computed = (name for name in vars(source) if isinstance(vars(of).get(name), cached_property))
+    vars(target).update({name: vars(source)[name] for name in computed})
+
+
+__all__ = ["cached_property", "keep"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 import loopcal as lc
 from loopcal.chi_squared import quantile
+from loopcal.estimation.dependence import serial
 from loopcal.estimation.dependence.dependence import in_order, likeness, near
 from loopcal.estimation.dependence.seen import Seen
 from loopcal.estimation.dependence.serial import Drift, Whole, _criterion, learnt_drift
@@ -226,6 +228,42 @@ def test_the_covariance_under_a_drift_is_never_without_the_noise() -> None:
     assert np.linalg.eigvalsh(drift.covariance(whole, seen)).min() > 0.0
     assert 0.0 < drift.share < 1.0
     assert drift.length > 0.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_points_of_the_grid_that_are_not_sought_weigh_nothing(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(seed)
+    whole, seen, D, E, _, X = whole_system(rng, N=150)
+    u = forgetting(0.9, 150, rng).T
+    E = E + np.einsum("nij,nj->ni", X, u).ravel()
+    whole = replace(whole, DE=D.T @ E, EE=float(E @ E))
+    seen = Seen(np.einsum("nij,ni->nj", X, E.reshape(150, 2)), seen.A, seen.M)
+    counts = []
+    criterion = serial._criterion
+    monkeypatch.setattr(serial, "_criterion", lambda *a: counts.append(a) or criterion(*a))
+    drift = learnt_drift(whole, seen)
+    monkeypatch.setattr(serial, "_FAR", np.inf)
+    sought = len(counts)
+    everywhere = learnt_drift(whole, seen)
+    assert sought < 80
+    assert len(counts) - sought == 100
+    assert drift.covariance(whole, seen) == pytest.approx(
+        everywhere.covariance(whole, seen), rel=1e-3
+    )
+
+
+def test_what_was_computed_of_a_fit_stays_with_further_parts_beside_it() -> None:
+    rng = np.random.default_rng(11)
+    result = calibrated(path(60, rng), 3e-4 * forgetting(0.95, 60, rng), rng)
+    drifting = result.drifting
+    assert drifting is not None
+    noted = result.noted("a note")
+    assert noted.drifting is drifting
+    assert lc.Result.of(noted, title="a title").drifting is drifting
+    assert noted.warnings == (*result.warnings, "a note")
+    assert result.as_if_independent().drifting is None
 
 
 def test_the_covariance_under_a_drift_is_the_sandwich_of_its_whole_matrix() -> None:

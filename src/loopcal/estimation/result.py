@@ -41,7 +41,7 @@ from loopcal.estimation.solve.reduction import Accumulator, Spectrum
 from loopcal.estimation.solve.robust import RobustSums
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solution import Solution, Status
-from loopcal.lazy import cached_property
+from loopcal.lazy import cached_property, keep
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.small_samples import LearntCovariance
@@ -443,7 +443,7 @@ class FitResult:
             return None
         return self.estimate.criterion
 
-    @cached_property
+    @property
     def warnings(self) -> tuple[str, ...]:
         """What the reader must know before using the result."""
         lines = [*self.data_entry.warnings(), *self.identifiability.warnings()]
@@ -462,7 +462,9 @@ class FitResult:
 
     def with_parts(self, **parts: Any) -> Self:
         """The same fit, with these beside it: fields of `Parts`."""
-        return replace(self, parts=replace(self.parts, **parts))
+        made = replace(self, parts=replace(self.parts, **parts))
+        keep(self, made, FitResult)
+        return made
 
     @property
     def errors(self) -> Mapping[str, float] | None:

@@ -16,7 +16,7 @@ from loopcal.estimation.result import FitResult
 from loopcal.files.outputs import one_command
 from loopcal.files.result import result_file
 from loopcal.files.versions import versions as installed_versions
-from loopcal.lazy import cached_property
+from loopcal.lazy import cached_property, keep
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.calibrated import Calibrated
@@ -47,7 +47,9 @@ class Result(FitResult, Views):
         """Of a fit, with further parts beside it: fields of `Parts`."""
         if isinstance(fit, Result) and not parts:
             return fit
-        return cls(**{one.name: getattr(fit, one.name) for one in fields(fit)}).with_parts(**parts)
+        made = cls(**{one.name: getattr(fit, one.name) for one in fields(fit)})
+        keep(fit, made, FitResult)
+        return made.with_parts(**parts)
 
     @cached_property
     def findings(self) -> Findings:

@@ -26,6 +26,9 @@ from loopcal.estimation.dependence.seen import Seen
 _RATIOS = 10.0 ** np.arange(-1.5, 3.1, 0.5)
 _NOTHING = 1e-6
 """A drift of so small a share of the variance adds nothing."""
+_FAR = 20.0
+"""A point of the grid whose -2 log likelihood is so far above the best weighs e^-10 of it: what is
+beyond such points is not sought."""
 
 
 @dataclass(frozen=True)
@@ -78,11 +81,16 @@ def learnt_drift(whole: Whole, seen: Seen) -> Drift:
     # the run.
     lengths = np.geomspace(0.7, max(2.0 * N, 4.0), 10)
     columns = np.concatenate([seen.A, seen.y[:, :, None]], axis=2)
-    grid = [
-        [_criterion(whole, seen.M, columns, math.exp(-1.0 / length), ratio) for ratio in _RATIOS]
-        for length in lengths.tolist()
-    ]
-    criteria, s2 = np.moveaxis(np.array(grid), 2, 0)  # (lengths, ratios) each
+    shape = len(lengths), len(_RATIOS)
+    criteria, s2, waiting = np.full(shape, math.inf), np.ones(shape), np.zeros(shape, dtype=bool)
+    waiting[1::3, 1::3] = True
+    while waiting.any():
+        for i, j in np.argwhere(waiting):
+            rho, ratio = math.exp(-1.0 / float(lengths[i])), float(_RATIOS[j])
+            criteria[i, j], s2[i, j] = _criterion(whole, seen.M, columns, rho, ratio)
+        likely = np.pad(criteria <= criteria.min() + _FAR, 1)
+        beside = np.lib.stride_tricks.sliding_window_view(likely, (3, 3)).any(axis=(2, 3))
+        waiting = beside & np.isinf(criteria)
     weights = np.exp(-0.5 * (criteria - criteria.min()))
     weights /= weights.sum()
     share = float((weights @ (_RATIOS / (1.0 + _RATIOS))).sum())
@@ -111,7 +119,8 @@ def _criterion(
     whole: Whole, M: Array, columns: Array, rho: float, ratio: float
 ) -> tuple[float, float]:
     """-2 log of the restricted likelihood at the best s^2, and that s^2."""
-    from scipy.linalg import cho_solve_banded, cholesky_banded
+    from scipy.linalg import cholesky_banded
+    from scipy.linalg.lapack import dtbtrs
 
     N, q, _ = columns.shape
     diagonal, beside = _precision(rho, N)
@@ -127,8 +136,9 @@ def _criterion(
     # rho^|i - j| is (1 - rho^2)^(N - 1).
     log_V += N * q * math.log(ratio) + q * (N - 1) * math.log1p(-rho * rho)
     flat = columns.reshape(N * q, -1)
-    # Woodbury's identity: V^-1 needs only the inverse of the band R^-1 + M.
-    taken = flat.T @ cho_solve_banded((factor, False), flat)
+    # Woodbury's identity: V^-1 needs only the inverse of the band R^-1 + M = U^T U.
+    solved, _ = dtbtrs(factor, flat, uplo="U", trans="T")
+    taken = solved.T @ solved
     s2, criterion = _at_the_best(
         whole, whole.DD - taken[:-1, :-1], whole.DE - taken[:-1, -1], whole.EE - taken[-1, -1]
     )
@@ -140,12 +150,13 @@ def _at_the_best(whole: Whole, DD: Array, DE: Array, EE: float) -> tuple[float, 
 
     DD, DE, EE: products of D and E weighted by s^2 V^-1.
     """
+    from scipy.linalg import eigh
+
     # Directions with D^T D = diag(d) and P = 1 - diag(d): there every s^2 costs O(k).
-    lower = np.linalg.cholesky(DD + whole.P)
-    inverse = np.linalg.inv(lower)
-    d, Q = np.linalg.eigh(inverse @ DD @ inverse.T)
+    both = DD + whole.P
+    d, directions = eigh(DD, both, driver="gvd", check_finite=False)
     d = np.clip(d, 0.0, 1.0)
-    a, b = Q.T @ inverse @ DE, Q.T @ inverse @ whole.offset
+    a, b = directions.T @ DE, directions.T @ whole.offset
     s2 = 1.0
     for _ in range(50):
         h = d / s2 + 1.0 - d
@@ -158,5 +169,5 @@ def _at_the_best(whole: Whole, DD: Array, DE: Array, EE: float) -> tuple[float, 
         s2 = new
     h, g = d / s2 + 1.0 - d, a / s2 + b
     left = EE / s2 + whole.square - float(g @ (g / h))
-    log_H = 2.0 * float(np.log(np.diag(lower)).sum()) + float(np.log(h).sum())
+    log_H = float(np.linalg.slogdet(both)[1]) + float(np.log(h).sum())
     return s2, whole.equations * math.log(s2) + log_H + left
