@@ -18,9 +18,11 @@ from loopcal.companions.app.worker import Action
 from loopcal.errors import InputError
 from loopcal.files.outputs import INSIDE
 from tests.app.plain_command import command
+from tests.command_line import run
 
 pytest.importorskip("tomlkit", reason="tomlkit is absent; `pip install .[app]` installs it")
 
+EXAMPLES = Path(__file__).parents[2] / "examples"
 LOOPS = """
 import shutil
 import threading
@@ -92,6 +94,29 @@ def test_a_project_for_others_names_no_file_outside(
     monkeypatch.delenv(INSIDE)
     with pytest.raises(InputError, match="secret"):
         session.read(text)
+
+
+def test_a_project_that_init_made_beside_the_readings_is_that_of_the_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("arm.urdf", "poses.csv"):
+        shutil.copy(EXAMPLES / "slipped_reflector" / name, tmp_path)
+    assert run("init", "poses.csv", "--urdf", "arm.urdf", cwd=tmp_path).returncode == 0
+    session = Session(tmp_path, command)
+    monkeypatch.setenv(INSIDE, str(tmp_path))
+    project = session.folder.project
+    assert session.folder.named(project) == "calibration/project.toml"
+    assert session.folder.named(session.folder.result) == "calibration/project-result"
+    loaded = session.readings()
+    assert session.objection() is None
+    assert loaded is not None
+    before = session.read_by("calibrate")
+    poses = tmp_path / "poses.csv"
+    poses.write_text("\n".join(poses.read_text().splitlines()[:-1]) + "\n")
+    assert session.read_by("calibrate") != before  # the readings count
+    assert "calibration/project.toml" in {file.name for file in session.folder.listed()}
+    shutil.copytree(tmp_path / "calibration", tmp_path / "another")
+    assert session.folder.project == tmp_path / "project.toml"  # of two it cannot know which
 
 
 def test_the_log_has_the_beginning_and_the_end_of_a_run_in_their_order(tmp_path: Path) -> None:

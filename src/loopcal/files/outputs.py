@@ -296,7 +296,8 @@ def refuse_outside(path: Path, named: str, place: str) -> None:
             f"the path {named!r} leads out of the folder {inside}",
             code="missing-file",
             place=place,
-            remedy="copy the file into the folder and name it there; a link does not do",
+            remedy="copy the file into the folder and name it there (a link does not do), or open "
+            "the folder that holds both",
         )
 
 

@@ -79,32 +79,44 @@ class Listed:
 
 @dataclass(frozen=True)
 class ProjectFolder:
-    """The folder; nothing outside it is touched. also: further endings of files taken in."""
+    """The folder; nothing outside it is touched. also: further endings of files taken in.
+
+    Names of files are paths from it. The project may lie in a folder inside, as `loopcal init`
+    puts it beside the readings.
+    """
 
     path: Path
     also: frozenset[str] = frozenset()
 
     @property
     def project(self) -> Path:
-        """The project file: project.toml, or the only TOML file that states a project."""
-        named = self.path / PROJECT
-        if os.path.lexists(named):
-            return named
-        others = [p for p in sorted(self.path.glob("[!.-]*.toml")) if self._is_project(p)]
-        return others[0] if len(others) == 1 else named
+        """The project file: project.toml, or the only TOML file that states a project, in the
+        folder or else in one inside it."""
+        stated = self.path / PROJECT
+        if os.path.lexists(stated):
+            return stated
+        for pattern in ("[!.-]*.toml", f"[!.-]*/{PROJECT}"):
+            paths = [p for p in sorted(self.path.glob(pattern)) if self._is_project(p)]
+            if paths:
+                return paths[0] if len(paths) == 1 else stated
+        return stated
 
     def _is_project(self, path: Path) -> bool:
-        return "[mechanism]" in (self.content(path.name) or "")
+        return "[mechanism]" in (self.content(self.named(path)) or "")
+
+    def named(self, path: Path) -> str:
+        """The name of a file or folder inside."""
+        return path.relative_to(self.path).as_posix()
 
     @property
     def result(self) -> Path:
         """Where `loopcal calibrate` writes the result of the project."""
-        return self.path / f"{self.project.stem}-result"
+        return self.project.with_name(f"{self.project.stem}-result")
 
     @property
     def plan(self) -> Path:
         """Where `loopcal plan` writes the plan of the project."""
-        return self.path / f"{self.project.stem}-plan"
+        return self.project.with_name(f"{self.project.stem}-plan")
 
     @property
     def export(self) -> Path:
@@ -114,17 +126,18 @@ class ProjectFolder:
     @property
     def tried(self) -> list[Path]:
         """Folders of results beside that of the project."""
-        beside = self.path.glob(f"{self.project.stem}-*/{RESULT}")
+        beside = self.project.parent.glob(f"{self.project.stem}-*/{RESULT}")
         return sorted(path.parent for path in beside if path.parent != self.result)
 
     def listed(self) -> list[Listed]:
-        """The files in the folder, and in those of results, plan and export, by name.
+        """The files in the folder, and in those of project, results, plan and export, by name.
 
         Left out are hidden ones, links that leave the folder, and names that a command line or a
         page would take for something else.
         """
         files = []
-        for folder in (self.path, self.result, self.plan, self.export, *self.tried):
+        folders = (self.path, self.project.parent, self.result, self.plan, self.export)
+        for folder in dict.fromkeys((*folders, *self.tried)):
             if not folder.is_dir() or not leads_into(folder, self.path):
                 continue
             for path in sorted(folder.iterdir()):
@@ -133,7 +146,7 @@ class ProjectFolder:
                 if shown and leads_into(path, self.path):
                     with suppress(FileNotFoundError):  # gone since
                         status = path.stat()
-                        name = path.relative_to(self.path).as_posix()
+                        name = self.named(path)
                         if S_ISREG(status.st_mode):
                             files.append(Listed(name, status.st_size, status.st_mtime_ns))
         return files
@@ -142,16 +155,16 @@ class ProjectFolder:
         """Files for the robot and the record, and whether each is of the result as it stands."""
         result = self.result / RESULT
         names = [file.name for file in self.listed()]
-        if result.relative_to(self.path).as_posix() not in names:
+        if self.named(result) not in names:
             return {}
-        result_sha256, export = sha256_of(result), self.export.relative_to(self.path).as_posix()
+        result_sha256, export = sha256_of(result), self.named(self.export)
         made, corrected = made_of(result), corrected_of(result)
         up_to_date = {
             name: sha256_of(self.path / name) in made
             for name in names
             if ".bak" not in name and (name.startswith(f"{export}/") or name in corrected)
         }
-        record = f"{self.result.name}/{RECORD}"
+        record = self.named(self.result / RECORD)
         if record in names:  # it prints the SHA-256 of what it was made of
             up_to_date[record] = result_sha256 in (self.content(record) or "")
         return up_to_date
@@ -159,7 +172,7 @@ class ProjectFolder:
     def text(self) -> str | None:
         """Of the project file; None where there is none."""
         try:
-            return self.inside(self.project.name).read_text("utf-8")
+            return self.inside(self.named(self.project)).read_text("utf-8")
         except (FileNotFoundError, IsADirectoryError):
             return None
         except (OSError, UnicodeDecodeError) as error:
@@ -282,7 +295,7 @@ class ProjectFolder:
         before = self.text()
         self.project.unlink(missing_ok=True)
         record = {"reason": reason, "before": before, "after": None}
-        self.noted("edit", f"removed {self.project.name}", record)
+        self.noted("edit", f"removed {self.named(self.project)}", record)
 
     def undo(self) -> str:
         """Take the last change of the project back, and say which. Raises InputError where there
@@ -297,7 +310,7 @@ class ProjectFolder:
             raise InputError(
                 "the project was changed since, outside the app",
                 code="conflicting-keys",
-                place=self.project.name,
+                place=self.named(self.project),
                 remedy="change it there",
             )
         write_atomic(self.project, record["before"], anything=True)

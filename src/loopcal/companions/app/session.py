@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import shlex
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
@@ -27,7 +28,6 @@ from loopcal.errors import InputError, LoopcalError
 from loopcal.files.machines.drawn_links import DrawnLinks, read_links
 from loopcal.files.machines.python_function import load_function
 from loopcal.files.machines.urdf import NO_URDF, branches
-from loopcal.files.project.data_table import DataTable
 from loopcal.files.project.project_data import LoadedData
 from loopcal.files.project.project_file import Project, read_project
 from loopcal.files.project.stream import load_sample
@@ -259,7 +259,7 @@ class Session:
         project = self.project()
         stated = {} if project is None else project.inputs.get("mechanism") or {}
         file = stated.get("file")
-        path = self.folder.path / str(file)
+        path = self.folder.project.parent / str(file)
         if not isinstance(file, str) or path.suffix.lower() not in (".urdf", ".xml"):
             return None
         base = stated.get("base", stated.get("root"))
@@ -297,7 +297,13 @@ class Session:
         return self._source.objection
 
     def _result_at(self) -> int | None:
-        return self._times().get(f"{self.folder.result.name}/{RESULT}")
+        return self._times().get(self.folder.named(self.folder.result / RESULT))
+
+    def _files(self, project: Project) -> tuple[str, ...]:
+        """Names in the folder of the files that a project reads, which it states from its own."""
+        parts = () if project.data is None else project.data.parts
+        paths = (self.folder.project.parent / part.file for part in parts)
+        return tuple(Path(os.path.relpath(path, self.folder.path)).as_posix() for path in paths)
 
     def _times(self) -> dict[str, int]:
         return {file.name: file.modified for file in self.folder.listed()}
@@ -330,7 +336,7 @@ class Session:
             warned=tuple(map(str, loaded.warnings)) if loaded is not None else (),
             unreadable=self._source.objection,
             made_elsewhere=frozenset(
-                {"plan"} if self.folder.inside_of(self.folder.plan.name) else ()
+                {"plan"} if self.folder.inside_of(self.folder.named(self.folder.plan)) else ()
             ),
         )
 
@@ -344,7 +350,7 @@ class Session:
         if project is not None and command == "plan":
             at = _planned_for(project)
         elif project is not None:
-            files = () if project.data is None else _files(project.data)
+            files = self._files(project)
             at = [_that_count(project.inputs), [times.get(file) for file in files]]
         return sha256(json.dumps(at, sort_keys=True, default=str).encode()).hexdigest()
 
@@ -364,7 +370,7 @@ class Session:
         if project is None or project.data is None:
             return ()
         # Of some files `loopcal init` makes others, as of corners and boards.
-        read = {*_files(project.data), *self._recognised()}
+        read = {*self._files(project), *self._recognised()}
         unread = {file.name for file in self.folder.listed()} - read
         names = [name for name in self.folder.handed_in("data") if name in unread]
         return tuple(name for name in names if name.lower().endswith(tuple(READERS)))
@@ -389,7 +395,7 @@ class Session:
         if source is None or project is None:
             return False
         changed = _that_count(project.inputs) != _that_count(source.document.inputs)
-        files = () if project.data is None else _files(project.data)
+        files = self._files(project)
         times, result = self._times(), self._result_at() or 0
         return changed or any(times.get(file, 0) > result for file in files)
 
@@ -436,7 +442,7 @@ class Session:
     def _readings_at(self) -> tuple[str | None, tuple[int | None, ...]]:
         """Another value whenever the readings may have changed."""
         project, times = self.project(), self._times()
-        files = () if project is None or project.data is None else _files(project.data)
+        files = () if project is None else self._files(project)
         return self.folder.text(), tuple(times.get(file) for file in files)
 
     def unread(self) -> str:
@@ -554,10 +560,6 @@ def _all_selected() -> InputError:
     return InputError(
         "all poses are selected", code="invalid-value", remedy="select a part of the run"
     )
-
-
-def _files(data: DataTable) -> tuple[str, ...]:
-    return tuple(part.file for part in data.parts)
 
 
 def _that_count(inputs: Mapping[str, Any]) -> dict[str, Any]:

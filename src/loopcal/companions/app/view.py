@@ -175,7 +175,15 @@ class View:
 
     def project_name(self) -> str:
         """Of the project file in the folder."""
-        return self.session.folder.project.name
+        return self.session.folder.named(self.session.folder.project)
+
+    def result_name(self) -> str:
+        """Of the folder of its result."""
+        return self.session.folder.named(self.session.folder.result)
+
+    def plan_name(self) -> str:
+        """Of the folder of its plan."""
+        return self.session.folder.named(self.session.folder.plan)
 
 
 def _complaint(do: Callable[[], Any]) -> str | None:

@@ -67,7 +67,7 @@ def _export(view: View) -> None:
             choice(view, "export.limb", words.LIMB, limbs)
 
     def line(*more: str) -> Sequence[str]:
-        asked = ["export", folder.result.name, "--to", one.name]
+        asked = ["export", view.result_name(), "--to", one.name]
         if one.source and view.kept.get("export.source"):
             asked += ["--source", str(view.kept["export.source"])]
         if "offsets" in one.options and view.kept["export.offsets"] != "origin":
@@ -88,11 +88,12 @@ def _export(view: View) -> None:
         printed(view, "export")
         before = str(view.kept.get("export.source") or "")
         for name in folder.inside_of(preview):
-            path = f"{folder.result.name}/export/{name}"
+            path = f"{folder.named(folder.export)}/{name}"
             old = path if folder.content(path) is not None else before
             _difference(view, old, f"{preview}/{name}", name)
         offer(view, words.WRITE, lambda: line("--force"), what=words.EXPORT)
-    written = [f.name for f in folder.listed() if f.name.startswith(f"{folder.result.name}/export")]
+    export = folder.named(folder.export)
+    written = [f.name for f in folder.listed() if f.name.startswith(export)]
     for name in written:
         _made(view, name)
 
@@ -133,7 +134,7 @@ def _correct(view: View) -> None:
         return f"{path.stem}-corrected{path.suffix}"
 
     def line() -> Sequence[str]:
-        asked = ["correct", view.session.folder.result.name, str(view.kept["correct.file"])]
+        asked = ["correct", view.result_name(), str(view.kept["correct.file"])]
         if limbs:
             asked += ["--limb", str(view.kept["correct.limb"])]
         if view.kept["correct.tool"] != "calibrated":
@@ -169,7 +170,7 @@ def _record(view: View) -> None:
 
             box = ui.input(label, value=str(stated.get(key) or "")).classes("w-full")
             written(box, keep)
-    result = session.folder.result.name
+    result = view.result_name()
     offer(view, words.WRITE_RECORD, lambda: ("record", result, "--project", view.project_name()))
     if session.folder.content(f"{result}/record.html") is not None:
         page(f"{result}/record.html", words.OPEN_RECORD)

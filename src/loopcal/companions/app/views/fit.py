@@ -42,7 +42,7 @@ def show(view: View) -> None:
         if document.method_label:
             ui.label(words.BY_METHOD.format(label=document.method_label))
         with ui.row():
-            page(f"{view.session.folder.result.name}/report.html", words.OPEN_WHOLE_REPORT)
+            page(f"{view.result_name()}/report.html", words.OPEN_WHOLE_REPORT)
         for accuracy_table in accuracy_tables(document):
             heading(accuracy_table.caption)
             table(accuracy_table.head, accuracy_table.rows)
@@ -137,7 +137,7 @@ def _side_by_side(view: View) -> None:
 
     def line() -> Sequence[str]:
         method = str(view.kept["fit.beside"])
-        beside = f"{session.folder.project.stem}-{method}"
+        beside = f"{view.project_name().removesuffix('.toml')}-{method}"
         asked = ("calibrate", view.project_name(), "--method", method, "--folds", "10")
         return (*asked, "--no-report", "--out", beside)
 

@@ -92,8 +92,7 @@ def _machine(view: View) -> None:
     heading(words.MACHINE_OVER_TIME)
     ui.label(words.MACHINE).classes("text-body2")
     if view.session.source() is not None:
-        result = view.session.folder.result.name
-        line = ("history", FOLDER, "--add", result)
+        line = ("history", FOLDER, "--add", view.result_name())
         offer(view, words.ADD_THIS_RESULT, lambda: line, what=words.ADD_HISTORY)
     text(view, "history.event", words.EVENT)
 

@@ -52,7 +52,7 @@ def show(view: View) -> None:
     tables = {name: name for name in view.files(ENDS)}
     measured = {OLD: "none"}
     if view.session.source() is not None:
-        measured[view.session.folder.result.name] = "those of the result"
+        measured[view.result_name()] = "those of the result"
     with ui.row().classes("items-end"):
         number(view, "plan.poses", words.POSES_TO_MEASURE, 30, min=1, max=1000, step=1)
         choice(view, "plan.criterion", words.BEST_FOR, words.CRITERIA)
@@ -70,7 +70,7 @@ def show(view: View) -> None:
             if kept[f"plan.{name}"]:
                 asked += [f"--{name}", str(kept[f"plan.{name}"])]
         if kept["plan.program"]:
-            program = f"{view.session.folder.plan.name}/plan{kept['plan.program']}"
+            program = f"{view.plan_name()}/plan{kept['plan.program']}"
             asked += ["--program", program, "--force", *pulses(view)]
         return asked
 
@@ -133,7 +133,8 @@ def _range(view: View, q: str, si: str, stated: Any, limit: Limit | None) -> Non
 
 def _planned(view: View, project: Project) -> None:
     folder = view.session.folder
-    content = folder.content(f"{folder.plan.name}/{PLAN_DOCUMENT}")
+    made = view.plan_name()
+    content = folder.content(f"{made}/{PLAN_DOCUMENT}")
     if content is None:
         return
     if view.session.outdated("plan"):
@@ -149,11 +150,11 @@ def _planned(view: View, project: Project) -> None:
         expectations.append(f"largest {with_unit(last['largest'], document['unit'])}")
         ui.label(", ".join(expectations))
     with ui.row():
-        download(f"{folder.plan.name}/plan.csv", words.DOWNLOAD.format(name="plan.csv"))
-        page(f"{folder.plan.name}/plan.html", words.OPEN_PAGE_PLAN)
-        for name in folder.inside_of(folder.plan.name):
+        download(f"{made}/plan.csv", words.DOWNLOAD.format(name="plan.csv"))
+        page(f"{made}/plan.html", words.OPEN_PAGE_PLAN)
+        for name in folder.inside_of(made):
             if name.endswith(tuple(WRITTEN)):
-                download(f"{folder.plan.name}/{name}", words.DOWNLOAD.format(name=name))
+                download(f"{made}/{name}", words.DOWNLOAD.format(name=name))
     _measured(view, project, document)
     _drawn(view, project, [pose["readings"] for pose in poses])
     units = {**project.mechanism.quantities, **project.mechanism.pose_constants}

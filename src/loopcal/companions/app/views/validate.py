@@ -162,9 +162,10 @@ def _another_day(view: View) -> None:
     tables = view.files(ENDS, "validate")
     if not tables:
         return
-    result = view.session.folder.result.name
     choice(view, "verify.file", words.READINGS, tables)
-    offer(view, words.VERIFY_IT, lambda: ("verify", result, str(view.kept["verify.file"])))
+    offer(
+        view, words.VERIFY_IT, lambda: ("verify", view.result_name(), str(view.kept["verify.file"]))
+    )
     if view.session.outdated("verify"):
         ui.label(words.OUTDATED).classes("care")
     else:
