@@ -195,6 +195,16 @@ def shuffled(day: Day, rng: Rng) -> Planted:
     return Planted("points shuffled")
 
 
+def read_late(way: float) -> Event:
+    """Joints that were read with this share of the way from the last pose still ahead."""
+
+    def tamper(day: Day, rng: Rng) -> Planted:
+        day.joints[1:] -= way * np.diff(day.joints, axis=0)
+        return Planted("read late", way, "1")
+
+    return tamper
+
+
 def poses_off(share: float, size: float) -> Event:
     """This share of the poses, at least one, is off by as much [m]."""
 

@@ -133,6 +133,7 @@ FIRST = (
     _file("quaternion, w first", "quaternion", days.quaternion_rolled, instrument="camera"),
     _file("points one row late", ROWS, days.rows_shifted),
     _file("points shuffled", ROWS + "|belong", days.shuffled),
+    _file("joints read late", r"\bmoment\b", days.read_late(5e-3), order="random"),
     _file("rows copied", COPIES, days.copied),
     _file("a constant column", "constant|same value|never changes", days.constant_column),
     _file("a pose off by 20 mm", OFF, days.poses_off(0.0, 0.02)),

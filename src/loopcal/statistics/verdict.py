@@ -177,7 +177,7 @@ def valid(document: ResultDocument) -> Fact:
         within = ", where corners were seen" if images else ""
         where = f"the region between the measured poses{within} (no limits are known)"
     elif "turn" in sources:
-        where = "the working region (joints without stated limits turn a quarter turn either way)"
+        where = "the working region (±90 deg for joints without stated limits)"
     worst, parked = region.worst, region.worst_while_parked
     near = worst.ratio is None or worst.ratio > NEAR_ONLY
     if near and parked and parked.ratio is not None and parked.ratio <= NEAR_ONLY:
