@@ -240,9 +240,14 @@ def test_points_of_the_grid_that_are_not_sought_weigh_nothing(
     E = E + np.einsum("nij,nj->ni", X, u).ravel()
     whole = replace(whole, DE=D.T @ E, EE=float(E @ E))
     seen = Seen(np.einsum("nij,ni->nj", X, E.reshape(150, 2)), seen.A, seen.M)
-    counts = []
+    counts: list[float] = []
     criterion = serial._criterion
-    monkeypatch.setattr(serial, "_criterion", lambda *a: counts.append(a) or criterion(*a))
+
+    def counted(*given: Any) -> tuple[float, float]:
+        counts.append(given[-1])
+        return criterion(*given)
+
+    monkeypatch.setattr(serial, "_criterion", counted)
     drift = learnt_drift(whole, seen)
     monkeypatch.setattr(serial, "_FAR", np.inf)
     sought = len(counts)
