@@ -23,6 +23,15 @@ ANOTHER_DAY = (
         shared="column-fault",
     ),
     _not_consistent(
+        "day-delayed",
+        "The {whose} readings are from {moment} (sd {spread} %).",
+        "Read each pose while the machine stands, then verify again.",
+        _VERIFY,
+        detail="Machine and instrument were not read at the same moment, or the machine did not "
+        "stand. These poses say nothing of the machine.",
+        shared="poses-delayed",
+    ),
+    _not_consistent(
         "moved-in-run",
         "Something moved along this run{what}.",
         "Check what moved, then measure and verify again.",

@@ -1,7 +1,8 @@
 """What may change on a machine: a row for each cause that is tried.
 
 A row names the parameters, or the zeros of readings, that change together. `ALONG_A_RUN` are the
-causes of a change between two poses of one run, `BETWEEN_DAYS` those of one since a calibration.
+causes of a change between two poses of one run, `ALONG_A_DAY` of a run after the calibration,
+`BETWEEN_DAYS` those of a change since it.
 """
 
 from __future__ import annotations
@@ -407,6 +408,12 @@ def _warming(problem: Problem) -> Iterator[Possible]:
         yield replace(one, steps=False)
 
 
+def _warming_slides(problem: Problem) -> Iterator[Possible]:
+    """The same where the calibration is held, with what slides read: the way of an axis grows."""
+    for one in _expansion(problem):
+        yield replace(one, steps=False)
+
+
 def _links(problem: Problem) -> Iterator[Possible]:
     """What a crash bends: all dimensions of a link at once, which it never does all along a run."""
     by_link: dict[str, list[str]] = {}
@@ -420,6 +427,7 @@ def _links(problem: Problem) -> Iterator[Possible]:
 ALONG_A_RUN: tuple[Cause, ...] = (
     *(_targets, _stations, _focus, _joints, _readings, _loads, _links, _warming),
 )
+ALONG_A_DAY: tuple[Cause, ...] = (*ALONG_A_RUN[:-1], _warming_slides)
 BETWEEN_DAYS: tuple[Cause, ...] = (
     *(_zeros, _mountings, _cameras, _loads, _dimensions, _expansion),
 )
