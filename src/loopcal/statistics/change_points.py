@@ -286,9 +286,7 @@ class Search:
         estimated = rest.step(step.columns)
         sized = rest.step(step.curved(bends)) if bends else estimated
         # Of a curve the line comes first, which is all of its change over the run.
-        # A zero is what the true value of a joint exceeds its reading by; columns are of readings.
-        sign = -1.0 if change.kind == "joint" else 1.0
-        sizes = zip(change.titles, (sign * sized.size).tolist(), sized.sds.tolist(), strict=False)
+        sizes = zip(change.titles, sized.size.tolist(), sized.sds.tolist(), strict=False)
         poses, order = self.problem.poses, self.system.order
         return ChangePoint(
             "ramp" if step.ramp else "step",

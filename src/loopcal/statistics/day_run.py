@@ -104,7 +104,8 @@ def delay(linear: Linearised) -> DelayEntry | None:
         return None
     system = _system(linear, np.zeros((len(linear.e), 0)))
     one = pose_delay(system.fitted())
-    return one if one is not None and one.p_value < RARE else None
+    # A joint's columns are of what its true value exceeds the reading by.
+    return replace(one, share=-one.share) if one is not None and one.p_value < RARE else None
 
 
 def searched(explained: Explained) -> Run:
@@ -165,8 +166,10 @@ def _system(linear: Linearised, changed: Array) -> OrderedSystem:
     quantities = problem.mechanism.tape.quantities
     zeros = np.flatnonzero(np.isfinite(problem.uncertainty.sd).any(axis=1)).tolist()
     X_rows = np.zeros((len(linear.e), k))
-    # As in a calibration: minus the column of what a reading exceeds its true value by.
-    X_rows[:, zeros] = scale * placement.columns([quantities[i] for i in zeros])
+    # Of an instrument, as in a calibration, what its reading exceeds the true value by; of a joint
+    # what the true value exceeds its reading by, as a zero that changed between two days.
+    sign = np.array([-scale if i in joint_rows(problem) else scale for i in zeros])
+    X_rows[:, zeros] = sign * placement.columns([quantities[i] for i in zeros])
     Z_rows, D_rows = np.hstack([linear.F, changed, linear.A]), scale * placement.J[:, problem.free]
     E, Z = np.zeros((N, R)), np.zeros((N, R, Z_rows.shape[1]))
     D, X = np.zeros((N, R, D_rows.shape[1])), np.zeros((N, R, k))

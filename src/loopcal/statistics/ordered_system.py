@@ -98,15 +98,14 @@ class OrderedSystem:
 
     def columns(self, names: Sequence[str]) -> Array:
         """(N, R, d) of a change of these parameters, zeros of readings or readings in proportion by
-        one [SI]: of a zero, of what the reading exceeds its true value by; in proportion, of what
-        the true value exceeds its reading by."""
+        one [SI]."""
         quantities = self.problem.mechanism.tape.quantities
         changes = []
         for n in names:
             if (stem := n.removesuffix(IN_PROPORTION)) != n:
                 i = quantities.index(stem)
                 read = self.problem.readings[i, self.order]
-                changes.append(self.X[:, :, i] * read[:, None])
+                changes.append(-self.X[:, :, i] * read[:, None])
             elif n in quantities:
                 changes.append(-self.X[:, :, quantities.index(n)])
             elif n in self.problem.names:
