@@ -72,7 +72,7 @@ ANOTHER_DAY = (
     ),
     _not_consistent(
         "re-master-slides",
-        _NOT_AS_CALIBRATED,
+        "The machine is not as calibrated: a spindle or column grew, or {changes}.",
         "Verify at the temperature of the calibration: a spindle or column that grew looks the "
         "same. If it stays, re-master {joints}, or update the calibration with these poses.",
         _VERIFY,

@@ -42,7 +42,6 @@ from loopcal.statistics.another_day import Day
 from loopcal.statistics.changed import LEVEL, PLACED, POWER, Candidate, Change, WhatChanged
 from loopcal.statistics.estimated import Estimated
 from loopcal.statistics.innovation import Innovation, Linearised
-from loopcal.statistics.judged_readings import RARE
 from loopcal.statistics.possible_changes import BETWEEN_DAYS, Possible, possible
 from loopcal.statistics.replacing import ASTRAY, Replaced
 
@@ -223,8 +222,7 @@ class _System:
     less what the placement takes up; visible: (m,); group: of each cause the first with the same
     column; freedom: (m,) degrees of freedom of the variance of each direction; linear: the
     equations at t; every: all causes but loads without mass together; scale: of S, by these poses;
-    scale_freedom: its degrees of freedom, None where variances are as stated; spread: the scale if
-    it is significant, else 1.
+    scale_freedom: its degrees of freedom, None if as stated; spread: `changed.larger` of it.
     """
 
     day: Day
@@ -278,8 +276,7 @@ class _System:
             learnt = linear.denominator((U / scale)[:, rows] @ every.root) or np.inf
             # Relative variances 2 / nu of independent errors of a scale add up.
             wider_freedom = 1.0 / (1.0 / left + 1.0 / learnt)
-            # What few poses leave varies by half and more where nothing is wrong.
-            spread = wider if f_tail(wider * left, left, learnt) < RARE else 1.0
+            spread = changed.larger(wider, left, learnt)
             freedom = 1.0 / (1.0 / freedom + 1.0 / left)
         held = G, g, t, present, value, visible, group, freedom, linear, every
         return cls(day, causes, *held, wider, wider_freedom, spread)
