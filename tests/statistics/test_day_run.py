@@ -223,6 +223,19 @@ def test_a_drift_has_the_sign_of_the_readings() -> None:
     assert [np.sign(point.changes[q].size) for q in "xyz"] == [1.0, -1.0, 1.0]
 
 
+def hung_anew(run: Run, rng: Rng) -> None:
+    run.zero += 6e-3
+
+
+def test_a_wire_whose_zero_changed_is_named() -> None:
+    """It was "an error that no change explains", to be calibrated anew."""
+    found = later(World("six", "wire", poses=150), event=hung_anew)
+    assert found.changes is not None
+    (change,) = found.changes.found
+    assert change.name == "wire_offset"
+    assert abs(change.value) == pytest.approx(6e-3, rel=0.2)
+
+
 def test_what_slides_read_grows_with_the_machine_along_a_run() -> None:
     """A gantry that warmed up was named as a drift of the instrument along its long axis."""
     first = Calibrated.of(calibrated(World("scara", poses=100)), "first")

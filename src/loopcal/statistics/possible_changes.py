@@ -260,7 +260,11 @@ def _mountings(problem: Problem) -> Iterator[Possible]:
     parameters, mounted = problem.mechanism.parameters, list(_mounted(problem))
     if tool := _tool(problem, mounted):
         yield tool
-    for names in mounted:
+    on_body = {n for names in mounted for n in names}
+    # Beside what is on the body, such as the zero of a wire.
+    rest = [tuple(n for n in f.mounted if n not in on_body) for f in problem.mechanism.families]
+    aside = [tuple(n for n in names if n in problem.names) for names in dict.fromkeys(rest)]
+    for names in [*mounted, *filter(None, aside)]:
         owners = {parameters[n].owner for n in names} if len(names) > 1 else set()
         label = next(iter(owners)) if len(owners) == 1 else ""
         yield Possible("mounting", names, label=label)
