@@ -23,6 +23,15 @@ ANOTHER_DAY = (
         shared="column-fault",
     ),
     _not_consistent(
+        "day-delayed",
+        "The {whose} readings are from {moment} (sd {spread} %).",
+        "Read each pose while the machine stands, then verify again.",
+        _VERIFY,
+        detail="Machine and instrument were not read at the same moment, or the machine did not "
+        "stand. These poses say nothing of the machine.",
+        shared="poses-delayed",
+    ),
+    _not_consistent(
         "moved-in-run",
         "Something moved along this run{what}.",
         "Check what moved, then measure and verify again.",
@@ -63,7 +72,7 @@ ANOTHER_DAY = (
     ),
     _not_consistent(
         "re-master-slides",
-        _NOT_AS_CALIBRATED,
+        "The machine is not as calibrated: a spindle or column grew, or {changes}.",
         "Verify at the temperature of the calibration: a spindle or column that grew looks the "
         "same. If it stays, re-master {joints}, or update the calibration with these poses.",
         _VERIFY,

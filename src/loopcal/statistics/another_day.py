@@ -20,7 +20,7 @@ from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.innovation import Linearised, components_of
 from loopcal.statistics.joint_errors import JointErrors
 from loopcal.statistics.possible_changes import (
-    ALONG_A_RUN,
+    ALONG_A_DAY,
     Possible,
     changed_share,
     possible,
@@ -141,7 +141,7 @@ class Day:
         number = np.empty(len(self.problem.poses))
         number[pose_order(self.problem)] = np.arange(1.0, len(number) + 1.0)
         row = number[placement.row_poses][:, None]
-        causes = {one.titles: one for one in possible(self.problem, ALONG_A_RUN)}
+        causes = {one.titles: one for one in possible(self.problem, ALONG_A_DAY)}
         columns = []
         for point in self.moved:
             share = changed_share(row, point.number, point.until)

@@ -128,7 +128,7 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
     changes = system.changes(chosen, p_values, rivals)
     verdict = _verdict(whole.p_value, changes, left)
     moved = causes.changes(system.t)
-    what = WhatChanged(verdict, changes, begun.tested(), whole, begun.scale, left, moved)
+    what = WhatChanged(verdict, changes, begun.tested(), whole, begun.spread, left, moved)
     return Explained(what, system.linear, system.columns(chosen))
 
 
@@ -222,7 +222,7 @@ class _System:
     less what the placement takes up; visible: (m,); group: of each cause the first with the same
     column; freedom: (m,) degrees of freedom of the variance of each direction; linear: the
     equations at t; every: all causes but loads without mass together; scale: of S, by these poses;
-    scale_freedom: its degrees of freedom, None where the stated variances are taken.
+    scale_freedom: its degrees of freedom, None if as stated; spread: `changed.larger` of it.
     """
 
     day: Day
@@ -239,6 +239,7 @@ class _System:
     every: Estimated
     scale: float
     scale_freedom: float | None
+    spread: float
 
     @classmethod
     def of(cls, day: Day, causes: _Causes, linear: Linearised, t: Array) -> _System:
@@ -268,16 +269,17 @@ class _System:
         every = Estimated.of(
             (g / scale)[rows], alike[np.ix_(rows, rows)], np.ones(len(rows)), _SAME
         )
-        wider, wider_freedom = 1.0, None
+        wider, wider_freedom, spread = 1.0, None, 1.0
         left = len(linear.e) - linear.rank - every.rank
         if (day.calibrated.carried or day.calibrated.rejected is not None) and left >= _ENOUGH:
             wider = max((value - every.gain) / left, 1.0)
             learnt = linear.denominator((U / scale)[:, rows] @ every.root) or np.inf
             # Relative variances 2 / nu of independent errors of a scale add up.
             wider_freedom = 1.0 / (1.0 / left + 1.0 / learnt)
+            spread = changed.larger(wider, left, learnt)
             freedom = 1.0 / (1.0 / freedom + 1.0 / left)
         held = G, g, t, present, value, visible, group, freedom, linear, every
-        return cls(day, causes, *held, wider, wider_freedom)
+        return cls(day, causes, *held, wider, wider_freedom, spread)
 
     def _rows(self, *chosen: int) -> NDArray[np.intp]:
         """The visible directions of these causes."""

@@ -16,7 +16,9 @@ from loopcal.presentation.shown import (
     unit_shown,
     with_unit,
 )
+from loopcal.small_samples import f_tail
 from loopcal.statistics.innovation import Innovation
+from loopcal.statistics.judged_readings import RARE
 
 # Record 0053.
 LEVEL = 0.015
@@ -173,8 +175,8 @@ class WhatChanged:
 
     verdict: unchanged, re-master, calibrate-anew or drift-or-change; found: the changes, in the
     order of the search; candidates: all that was tested; test: of the whole; spread: by how much
-    these poses vary more than stated, where that is not taken as a change; left: p-value of the
-    whole after these changes, None without redundancy; moved: what the changes move [SI], by name.
+    these poses vary more than stated, where that is sure and no change; left: p-value of the whole
+    after these changes, None without redundancy; moved: what the changes move [SI], by name.
     """
 
     verdict: str
@@ -304,3 +306,8 @@ def _some(names: Sequence[str]) -> str:
     more = len(names) - _MOST_NAMED
     shown = ", ".join(names[:_MOST_NAMED])
     return f"{shown} and {more} more" if more > 0 else shown
+
+
+def larger(scale: float, freedom: int, learnt: float) -> float:
+    """A scale of variances from so many degrees of freedom, or 1 where it may be chance."""
+    return scale if f_tail(scale * freedom, freedom, learnt) < RARE else 1.0

@@ -6,7 +6,8 @@ At the held machine the equations of the poses are
 
 as `innovation` has them. In the order of the poses they are searched for what moved between two of
 them or all along the run (`change_points`), and for poses that fit neither the machine nor each
-other. Where the machine misses the readings by far, the file may be at fault (`faults`).
+other. Where the machine misses the readings by far, the file may be at fault (`faults`), and
+where it misses them at all, poses may have been read on the way (`delay`).
 """
 
 from __future__ import annotations
@@ -21,17 +22,21 @@ from numpy.typing import NDArray
 from loopcal.arrays import Array
 from loopcal.chi_squared import tail
 from loopcal.document.change_points import NOT_SEARCHED, ChangePoint, Shifts
-from loopcal.document.findings import ColumnFault
-from loopcal.estimation.dependence.dependence import pose_order
+from loopcal.document.findings import ColumnFault, DelayEntry
+from loopcal.estimation.dependence.dependence import joint_rows, pose_order
 from loopcal.estimation.faults.search import column_faults
 from loopcal.estimation.problem.problem import Problem
 from loopcal.statistics.another_day import Day
-from loopcal.statistics.change_points import Search, searchable
+from loopcal.statistics.change_points import DRIFTING, Search, searchable
 from loopcal.statistics.change_tests import Explained
+from loopcal.statistics.changed import LEVEL
 from loopcal.statistics.innovation import Linearised
+from loopcal.statistics.judged_readings import RARE
 from loopcal.statistics.ordered_system import Fitted, OrderedSystem
-from loopcal.statistics.possible_changes import ALONG_A_RUN
+from loopcal.statistics.pose_delay import pose_delay
+from loopcal.statistics.possible_changes import ALONG_A_DAY
 from loopcal.statistics.replacing import ASTRAY
+from loopcal.statistics.run_order import tells_order
 
 # Chosen, not derived: one good run of a hundred, as of the poses of a calibration.
 _LEVEL = 0.01
@@ -92,14 +97,37 @@ def faults(day: Day, linear: Linearised) -> tuple[ColumnFault, ...]:
     return column_faults(replace(problem, mechanism=problem.mechanism.with_parameters(flat)))
 
 
+def delay(linear: Linearised) -> DelayEntry | None:
+    """Whether poses were read before the machine stood, or after; sought where they do not fit."""
+    whole = linear.innovation().p_value
+    if whole is None or whole >= LEVEL:
+        return None
+    system = _system(linear, np.zeros((len(linear.e), 0)))
+    one = pose_delay(system.fitted())
+    # A joint's columns are of what its true value exceeds the reading by.
+    return replace(one, share=-one.share) if one is not None and one.p_value < RARE else None
+
+
 def searched(explained: Explained) -> Run:
     """What happened during the run of a day, beside what changed before it."""
     linear = explained.linear
     system = _system(linear, explained.columns)
     if not searchable(len(linear.placement.problem.poses)):
         return Run(outliers=_outliers(linear, system.fitted()))
-    shifts, fit = Search(system, causes=ALONG_A_RUN).run()
-    return Run(shifts, _outliers(linear, fit))
+    shifts, fit = Search(system, causes=ALONG_A_DAY).run()
+    return Run(_clear(shifts, linear.placement.problem), _outliers(linear, fit))
+
+
+def _clear(shifts: Shifts, problem: Problem) -> Shifts:
+    """With drifts told apart from the held machine, whose errors need fewer poses for that."""
+    if tells_order(problem.readings[joint_rows(problem)][:, pose_order(problem)].T):
+        return shifts
+    apart = tuple(
+        one
+        for one in shifts.found
+        if one in shifts.told_apart or (one.shape == "ramp" and one.moved in DRIFTING)
+    )
+    return replace(shifts, told_apart=apart)
 
 
 def _outliers(linear: Linearised, fit: Fitted) -> tuple[int, ...]:
@@ -138,7 +166,10 @@ def _system(linear: Linearised, changed: Array) -> OrderedSystem:
     quantities = problem.mechanism.tape.quantities
     zeros = np.flatnonzero(np.isfinite(problem.uncertainty.sd).any(axis=1)).tolist()
     X_rows = np.zeros((len(linear.e), k))
-    X_rows[:, zeros] = -scale * placement.columns([quantities[i] for i in zeros])
+    # Of an instrument, as in a calibration, what its reading exceeds the true value by; of a joint
+    # what the true value exceeds its reading by, as a zero that changed between two days.
+    sign = np.array([-scale if i in joint_rows(problem) else scale for i in zeros])
+    X_rows[:, zeros] = sign * placement.columns([quantities[i] for i in zeros])
     Z_rows, D_rows = np.hstack([linear.F, changed, linear.A]), scale * placement.J[:, problem.free]
     E, Z = np.zeros((N, R)), np.zeros((N, R, Z_rows.shape[1]))
     D, X = np.zeros((N, R, D_rows.shape[1])), np.zeros((N, R, k))

@@ -1,7 +1,8 @@
 """What may change on a machine: a row for each cause that is tried.
 
 A row names the parameters, or the zeros of readings, that change together. `ALONG_A_RUN` are the
-causes of a change between two poses of one run, `BETWEEN_DAYS` those of one since a calibration.
+causes of a change between two poses of one run, `ALONG_A_DAY` of a run after the calibration,
+`BETWEEN_DAYS` those of a change since it.
 """
 
 from __future__ import annotations
@@ -259,7 +260,11 @@ def _mountings(problem: Problem) -> Iterator[Possible]:
     parameters, mounted = problem.mechanism.parameters, list(_mounted(problem))
     if tool := _tool(problem, mounted):
         yield tool
-    for names in mounted:
+    on_body = {n for names in mounted for n in names}
+    # Beside what is on the body, such as the zero of a wire.
+    rest = [tuple(n for n in f.mounted if n not in on_body) for f in problem.mechanism.families]
+    aside = [tuple(n for n in names if n in problem.names) for names in dict.fromkeys(rest)]
+    for names in [*mounted, *filter(None, aside)]:
         owners = {parameters[n].owner for n in names} if len(names) > 1 else set()
         label = next(iter(owners)) if len(owners) == 1 else ""
         yield Possible("mounting", names, label=label)
@@ -407,6 +412,12 @@ def _warming(problem: Problem) -> Iterator[Possible]:
         yield replace(one, steps=False)
 
 
+def _warming_slides(problem: Problem) -> Iterator[Possible]:
+    """The same where the calibration is held, with what slides read: the way of an axis grows."""
+    for one in _expansion(problem):
+        yield replace(one, steps=False)
+
+
 def _links(problem: Problem) -> Iterator[Possible]:
     """What a crash bends: all dimensions of a link at once, which it never does all along a run."""
     by_link: dict[str, list[str]] = {}
@@ -420,6 +431,7 @@ def _links(problem: Problem) -> Iterator[Possible]:
 ALONG_A_RUN: tuple[Cause, ...] = (
     *(_targets, _stations, _focus, _joints, _readings, _loads, _links, _warming),
 )
+ALONG_A_DAY: tuple[Cause, ...] = (*ALONG_A_RUN[:-1], _warming_slides)
 BETWEEN_DAYS: tuple[Cause, ...] = (
     *(_zeros, _mountings, _cameras, _loads, _dimensions, _expansion),
 )
