@@ -16,6 +16,7 @@ from loopcal.statistics.verdict import findings_of
 from tests.reference.simulated import planar_arm
 from tests.statistics.test_camera_changes import LENS, PLACE, POINTS, SDS
 from tests.statistics.test_comparison import sds_of
+from tests.statistics.test_verdict import depends
 
 SHARE = 0.02
 FILES = {"project": "project.toml", "result": "result"}
@@ -120,3 +121,11 @@ def test_a_robot_that_states_poses_of_its_flange_is_sent_to_images_and_not_to_pl
     steps = [one.next for one in made if one.next]
     assert any("random order, with the hand turned" in step.words for step in steps)
     assert not any((step.command or "").startswith("loopcal plan") for step in steps)
+
+
+def test_a_robot_whose_poses_err_alike_is_asked_for_its_joints() -> None:
+    document = replace(calibrated(0).document, dependence=depends(1.0, 1e-9))
+    (one,) = (f for f in findings_of(document, files=FILES) if f.code == "model-incomplete")
+    assert one.next is not None
+    assert one.next.words.startswith("State the joints in place of the poses")
+    assert one.next.command is None
