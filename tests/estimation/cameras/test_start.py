@@ -139,7 +139,7 @@ def test_two_cameras_agree_on_the_pose_that_few_markers_leave_open(seed: int) ->
     assert begun.intrinsics["left"].fx == pytest.approx(8000.0, rel=0.06)
 
 
-@pytest.mark.parametrize("seed", [13, 20, 25])
+@pytest.mark.parametrize("seed", [13, 27, 30])
 def test_views_that_lose_their_pose_with_another_lens_are_left_out(seed: int) -> None:
     true = shots(seed, images=12, noise=0.4)
     k = true.corners.point
