@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from loopcal.document.findings import DelayEntry
 from loopcal.presentation.shown import (
     by_sd,
     p_words,
@@ -17,6 +18,7 @@ from loopcal.presentation.shown import (
     with_unit,
 )
 from loopcal.statistics.innovation import Innovation
+from loopcal.statistics.neighbours import WAYS
 
 # Record 0053.
 LEVEL = 0.015
@@ -39,6 +41,7 @@ _WORDS = {
     "print": "prints",
     "expansion": "scales",
     "drift": "drifts along the run",
+    "delay": "delays",
 }
 DRIFT_OR_CHANGE = "drift-or-change"
 """The verdict where a drift of the instrument along the run explains the changes."""
@@ -79,6 +82,8 @@ class Candidate:
     @property
     def seen(self) -> str:
         """The smallest change that is seen."""
+        if self.kind == "delay":
+            return f"{significant(100.0 * (self.smallest or 0.0), 2)} % of the way"
         if self.unit == "1":
             return f"{significant(1e6 * (self.smallest or 0.0), 2)} ppm"
         return with_unit(self.smallest, self.unit, 2)
@@ -140,6 +145,10 @@ class Change:
     @property
     def words(self) -> str:
         """The change in a sentence without its end."""
+        if self.kind == "delay":
+            sure = significant(50.0 * (self.high - self.low), 2)
+            delay = DelayEntry(WAYS[self.name] > 0, -self.value, self.sd, self.p_value)
+            return delay.words(f" ± {sure} %")
         verb = _VERBS.get(self.kind, "changed")
         if self.kind == "load" and self.unit != "kg":
             return f"{self.where} {verb}"
@@ -215,6 +224,8 @@ class WhatChanged:
             return self.verdict
         if len(self.found) == SOUGHT and self.left is not None and self.left < LEVEL:
             return "more-changed"
+        if any(change.kind == "delay" for change in self.found):
+            return "day-delayed"
         mounted = all(change.mounted for change in self.found)
         if self.verdict == "re-master":
             if not mounted and any(change.conditional for change in self.found):

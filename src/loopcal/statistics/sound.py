@@ -319,16 +319,8 @@ def _delayed(document: ResultDocument) -> Fact | None:
     one = document.delay
     if one is None or one.p_value >= RARE:
         return None
-    share = f"{significant(100.0 * abs(one.share), 2)} % of the way"
-    return fact(
-        "poses-delayed",
-        numbers={"share": one.share, "sd": one.sd},
-        spread=significant(100.0 * one.sd, 2),
-        whose="machine's" if one.share > 0.0 else "instrument's",
-        moment=f"after each pose is left: {share} to the next one is done"
-        if one.ahead
-        else f"before each pose is reached: {share} from the last one is left",
-    )
+    numbers, spread = {"share": one.share, "sd": one.sd}, significant(100.0 * one.sd, 2)
+    return fact("poses-delayed", numbers=numbers, delay=f"T{one.words()[1:]}", spread=spread)
 
 
 def _contradict(document: ResultDocument) -> Fact | None:

@@ -247,9 +247,7 @@ def _rough(reading: Reading, free: Sequence[str]) -> Adjusted | None:
     return placed(few, view_poses(few), _of_all(reading, free))
 
 
-def _adjusted(
-    reading: Reading, rough: Adjusted, free: Sequence[str]
-) -> tuple[Reading, Adjusted]:
+def _adjusted(reading: Reading, rough: Adjusted, free: Sequence[str]) -> tuple[Reading, Adjusted]:
     """All images, from the placement of a part of them; corners beyond 24 per view add little.
 
     An image gives about six numbers, those of a pose, however many corners it has. Without a robot
