@@ -102,7 +102,8 @@ class Change:
     value, low, high: [unit] how much, with its 95 % interval; p_value: adjusted for the search;
     alike: further candidates which explain these poses about as well; parts: how much of each [SI],
     where several change together; the value is then the length of those in its unit; hidden:
-    parts that these poses do not determine.
+    parts that these poses do not determine; turn: of what moved as one, and half of its 95 %
+    interval [rad].
     """
 
     name: str
@@ -116,6 +117,7 @@ class Change:
     alike: tuple[Candidate, ...]
     parts: Mapping[str, float] = field(default_factory=dict)
     hidden: tuple[str, ...] = ()
+    turn: tuple[float, float] | None = None
 
     @property
     def zeros(self) -> tuple[str, ...]:
@@ -161,6 +163,9 @@ class Change:
             return f"{self.where} {verb} by {value} ± {sure} ppm"
         moved, unit = by_sd(self.value, self.sd, self.unit), unit_shown(self.unit)
         words = f"{self.where} {verb} by {moved} {unit} ± {size(half, self.unit, 2)} {unit}"
+        if self.turn and self.turn[0] > self.turn[1]:
+            turn, sure = (with_unit(one, "rad", 2) for one in self.turn)
+            words += f" and turned by {turn} ± {sure}"
         parts = [f"{n} {with_unit(v, self.unit)}" for n, v in self.parts.items()]
         parts += [f"{n} unknown" for n in self.hidden]
         return f"{words} ({', '.join(parts)})" if parts else words
