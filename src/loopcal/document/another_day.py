@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
+from loopcal.document.of_images import MOMENT
 from loopcal.document.verdict import Row
 
 _VERIFY = "loopcal verify {result} {readings}"
@@ -21,15 +22,6 @@ ANOTHER_DAY = (
         "Correct the file, then verify again.",
         _VERIFY,
         shared="column-fault",
-    ),
-    _not_consistent(
-        "day-delayed",
-        "The {whose} readings are from {moment} (sd {spread} %).",
-        "Read each pose while the machine stands, then verify again.",
-        _VERIFY,
-        detail="Machine and instrument were not read at the same moment, or the machine did not "
-        "stand. These poses say nothing of the machine.",
-        shared="poses-delayed",
     ),
     _not_consistent(
         "moved-in-run",
@@ -131,6 +123,13 @@ ANOTHER_DAY = (
         "anew, or update the calibration with these images.",
         _UPDATE,
         shared="changed",
+    ),
+    _not_consistent(
+        "day-delayed",
+        "Poses and readings of this day are not of one moment: {changes}.",
+        f"{MOMENT} Then verify again.",
+        _VERIFY,
+        shared="poses-delayed",
     ),
     _not_consistent(
         "load-changed",

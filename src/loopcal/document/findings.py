@@ -147,6 +147,17 @@ class DelayEntry:
     p_value: Probability
     """Of a share at least so large where there is none."""
 
+    def words(self, sure: str = "") -> str:
+        """Whose readings are from when; sure: behind the share."""
+        share = f"{significant(100.0 * abs(self.share), 2)} %{sure} of the way"
+        moment = (
+            f"after each pose is left: {share} to the next one is done"
+            if self.ahead
+            else f"before each pose is reached: {share} from the last one is left"
+        )
+        whose = "machine's" if self.share > 0.0 else "instrument's"
+        return f"the {whose} readings are from {moment}"
+
 
 @dataclass(frozen=True)
 class ConflictEntry:

@@ -472,6 +472,10 @@ class _System:
                 size, sd = self._with_tools(j, chosen)
             half = t_quantile(0.95, self._freedom(j)) * sd
             parts: dict[str, float] = {}
+            turn: tuple[float, float] | None = None
+            if cause.parts and "rad" in cause.units:
+                angle, angle_sd, _ = self._size(j, chosen, turn=True)
+                turn = angle, t_quantile(0.95, self._freedom(j)) * angle_sd
             hidden: tuple[str, ...] = ()
             if one.kind in PLACED and len(cause.names) > 1 and not cause.parts:
                 rows = self.causes.rows(j)
@@ -491,12 +495,16 @@ class _System:
                     self._alike(chosen, j, rivals[j]),
                     parts,
                     hidden,
+                    turn,
                 )
             )
         return tuple(changes)
 
-    def _size(self, j: int, chosen: Sequence[int]) -> tuple[float, float, Array]:
-        """The size of an accepted change [unit] and its sd, and its parts (m,).
+    def _size(
+        self, j: int, chosen: Sequence[int], *, turn: bool = False
+    ) -> tuple[float, float, Array]:
+        """The size of an accepted change [unit] and its sd, and its parts (m,); turn: of its parts
+        in another unit.
 
         Of several parts the length of those in the unit of the cause, but for parts that may be
         larger than the largest that is sure.
@@ -508,7 +516,7 @@ class _System:
             (at,) = part
             t[rows[at]] = together.size[at]
             return float(together.size[at]), float(np.sqrt(covariance[at, at])), t
-        part = part[self.causes.in_unit(j, rows[part])]
+        part = part[self.causes.in_unit(j, rows[part]) ^ turn]
         sizes = np.abs(together.size[part])
         halves = t_quantile(0.95, self._freedom(j)) * np.sqrt(np.diag(covariance)[part])
         if (sure := halves <= sizes).any():

@@ -6,8 +6,7 @@ At the held machine the equations of the poses are
 
 as `innovation` has them. In the order of the poses they are searched for what moved between two of
 them or all along the run (`change_points`), and for poses that fit neither the machine nor each
-other. Where the machine misses the readings by far, the file may be at fault (`faults`), and
-where it misses them at all, poses may have been read on the way (`delay`).
+other. Where the machine misses the readings by far, the file may be at fault (`faults`).
 """
 
 from __future__ import annotations
@@ -22,18 +21,15 @@ from numpy.typing import NDArray
 from loopcal.arrays import Array
 from loopcal.chi_squared import tail
 from loopcal.document.change_points import NOT_SEARCHED, ChangePoint, Shifts
-from loopcal.document.findings import ColumnFault, DelayEntry
+from loopcal.document.findings import ColumnFault
 from loopcal.estimation.dependence.dependence import joint_rows, pose_order
 from loopcal.estimation.faults.search import column_faults
 from loopcal.estimation.problem.problem import Problem
 from loopcal.statistics.another_day import Day
 from loopcal.statistics.change_points import DRIFTING, Search, searchable
 from loopcal.statistics.change_tests import Explained
-from loopcal.statistics.changed import LEVEL
 from loopcal.statistics.innovation import Linearised
-from loopcal.statistics.judged_readings import RARE
 from loopcal.statistics.ordered_system import Fitted, OrderedSystem
-from loopcal.statistics.pose_delay import pose_delay
 from loopcal.statistics.possible_changes import ALONG_A_DAY
 from loopcal.statistics.replacing import ASTRAY
 from loopcal.statistics.run_order import tells_order
@@ -95,17 +91,6 @@ def faults(day: Day, linear: Linearised) -> tuple[ColumnFault, ...]:
     # Wherever the instruments stand: the search begins where points are best aligned.
     flat = parameters.with_prior(dict.fromkeys(parameters.of_role("placement"), math.inf))
     return column_faults(replace(problem, mechanism=problem.mechanism.with_parameters(flat)))
-
-
-def delay(linear: Linearised) -> DelayEntry | None:
-    """Whether poses were read before the machine stood, or after; sought where they do not fit."""
-    whole = linear.innovation().p_value
-    if whole is None or whole >= LEVEL:
-        return None
-    system = _system(linear, np.zeros((len(linear.e), 0)))
-    one = pose_delay(system.fitted())
-    # A joint's columns are of what its true value exceeds the reading by.
-    return replace(one, share=-one.share) if one is not None and one.p_value < RARE else None
 
 
 def searched(explained: Explained) -> Run:

@@ -14,17 +14,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from loopcal.arrays import Array
+from loopcal.estimation.dependence.dependence import joint_rows
 from loopcal.estimation.problem.problem import Problem
 from loopcal.mechanisms.mechanism import PIXELS
 from loopcal.mechanisms.parameters import GEOMETRY
 from loopcal.mechanisms.placement import ChainPlacement
 from loopcal.mechanisms.station import BASE, Station
 from loopcal.mechanisms.structure.structured import driven_joints
+from loopcal.statistics.neighbours import WAYS, told
 from loopcal.statistics.replacing import CAMERAS, IN_PROPORTION
 
 # What machines can have; chosen, not derived, a few times what their makers and users report: a
 # joint that is mastered anew, a link that a crash bends, a tool that is exchanged, a print that was
-# fitted to another page, 50 K of warming at 24e-6 per kelvin. A load may do anything.
+# fitted to another page, 50 K of warming at 24e-6 per kelvin, half of the way to the next pose. A
+# load may do anything.
 _MOST = {
     "zero": 0.5,
     "angle": 0.05,
@@ -34,6 +37,7 @@ _MOST = {
     "scale": 0.1,
     "print": 0.1,
     "expansion": 1.2e-3,
+    "delay": 0.5,
 }
 """The largest change of a kind [SI]."""
 # What they usually have between two days; chosen, not derived: a joint that creeps or is mastered
@@ -418,6 +422,13 @@ def _warming_slides(problem: Problem) -> Iterator[Possible]:
         yield replace(one, steps=False)
 
 
+def _delays(problem: Problem) -> Iterator[Possible]:
+    """Poses that are read, or measured, on the way to the next one or from the last one."""
+    if joint_rows(problem) and not told(problem):
+        for name in WAYS:
+            yield Possible("delay", (name,), units=("1",))
+
+
 def _links(problem: Problem) -> Iterator[Possible]:
     """What a crash bends: all dimensions of a link at once, which it never does all along a run."""
     by_link: dict[str, list[str]] = {}
@@ -433,6 +444,6 @@ ALONG_A_RUN: tuple[Cause, ...] = (
 )
 ALONG_A_DAY: tuple[Cause, ...] = (*ALONG_A_RUN[:-1], _warming_slides)
 BETWEEN_DAYS: tuple[Cause, ...] = (
-    *(_zeros, _mountings, _cameras, _loads, _dimensions, _expansion),
+    *(_zeros, _mountings, _cameras, _loads, _dimensions, _expansion, _delays),
 )
 """Of changes that do the same the first speaks: zeros of joints, then mountings."""

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from loopcal.document.accuracy import Coverage
 from loopcal.document.change_points import ChangePoint, hold, when
 from loopcal.document.choice import DECISIVE, TermEntry
-from loopcal.document.findings import ConflictEntry, DelayEntry, HalvesEntry
+from loopcal.document.findings import ConflictEntry, HalvesEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Fact, Figure, Where, fact
 from loopcal.mechanisms.effects.effect import RUN_DRIFTS, STATION_SCALES
@@ -316,23 +316,11 @@ def _halves(document: ResultDocument) -> Fact | None:
 
 
 def _delayed(document: ResultDocument) -> Fact | None:
-    return None if document.delay is None else late("poses-delayed", document.delay)
-
-
-def late(code: str, one: DelayEntry) -> Fact | None:
-    """That poses were read before the machine stood, or after; None where it may be chance."""
-    if one.p_value >= RARE:
+    one = document.delay
+    if one is None or one.p_value >= RARE:
         return None
-    share = f"{significant(100.0 * abs(one.share), 2)} % of the way"
-    return fact(
-        code,
-        numbers={"share": one.share, "sd": one.sd},
-        spread=significant(100.0 * one.sd, 2),
-        whose="machine's" if one.share > 0.0 else "instrument's",
-        moment=f"after each pose is left: {share} to the next one is done"
-        if one.ahead
-        else f"before each pose is reached: {share} from the last one is left",
-    )
+    numbers, spread = {"share": one.share, "sd": one.sd}, significant(100.0 * one.sd, 2)
+    return fact("poses-delayed", numbers=numbers, delay=f"T{one.words()[1:]}", spread=spread)
 
 
 def _contradict(document: ResultDocument) -> Fact | None:

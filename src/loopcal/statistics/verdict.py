@@ -102,10 +102,16 @@ def _cameras_alone(document: ResultDocument) -> bool:
 
 
 def _with_images(one: Finding, images: str) -> Finding:
+    if one.code == "model-incomplete" and images == _MORE_OF_A_HAND:
+        return replace(one, next=NextStep(_JOINTS))
     planned = one.next and (one.next.command or "").startswith("loopcal plan")
     return replace(one, next=NextStep(images)) if planned else one
 
 
+_JOINTS = (
+    "State the joints in place of the poses, and the robot (--dh or --urdf): its poses err as its "
+    "geometry does, which is then estimated too."
+)
 _MORE_OF_A_HAND = (
     "Take more images, in random order, with the hand turned by 30 deg about two axes, at several "
     "distances and in all parts of the image."

@@ -38,7 +38,7 @@ from loopcal.statistics.calibrated import Calibrated, ResidualVariance
 from loopcal.statistics.change_tests import what_changed
 from loopcal.statistics.changed import DRIFT_OR_CHANGE, WhatChanged
 from loopcal.statistics.day_drift import drifted, smallest_drift
-from loopcal.statistics.day_run import NO_POSES, Run, delay, faults, searched, with_further
+from loopcal.statistics.day_run import NO_POSES, Run, faults, searched, with_further
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.innovation import Linearised
 from loopcal.statistics.joint_errors import JointErrors
@@ -161,8 +161,7 @@ def _verified(day: Day, tolerance: float | None, copied: int, repeated: int) -> 
     linear, problem = day.linearised(), day.problem
     day = day.near(linear.placement)
     columns = faults(day, linear)
-    late = None if columns else delay(linear)
-    changes, run = (None, Run()) if columns or late else _searched(day, linear)
+    changes, run = (None, Run()) if columns else _searched(day, linear)
     # Poses that do not fit the others say nothing of the machine, but a tolerance counts them.
     rest, judged = day, linear
     if run.outliers:
@@ -203,7 +202,6 @@ def _verified(day: Day, tolerance: float | None, copied: int, repeated: int) -> 
         tolerance=tolerance,
         unplaced=unplaced,
         faults=columns,
-        delay=late,
         shifts=run.shifts,
         outliers=outliers,
         rare=rare,

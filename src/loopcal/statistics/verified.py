@@ -10,7 +10,7 @@ from typing import Any
 from loopcal.document.accuracy import Distances
 from loopcal.document.catalogue import findings
 from loopcal.document.change_points import NOT_SEARCHED, Shifts
-from loopcal.document.findings import ColumnFault, DelayEntry
+from loopcal.document.findings import ColumnFault
 from loopcal.document.tables import machine_table
 from loopcal.document.verdict import (
     Answer,
@@ -29,7 +29,7 @@ from loopcal.statistics.changed import LEVEL, WhatChanged
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.innovation import Innovation
 from loopcal.statistics.other_conditions import MEASURE
-from loopcal.statistics.sound import along_the_run, late
+from loopcal.statistics.sound import along_the_run
 from loopcal.statistics.verdict import Quantile, kept
 
 # Record 0053.
@@ -72,7 +72,7 @@ class Verification:
     machine; changes: of single parameters and zeros of joints, None without redundancy; placed:
     what was found anew; worst: poses, outliers ahead, the farthest first; quantile: the distance
     that 95 % of all poses keep; unplaced: why the nominal machine cannot be placed, None where it
-    can; faults: of the file; delay: of its poses; shifts: what moved along the run; outliers: poses
+    can; faults: of the file; shifts: what moved along the run; outliers: poses
     that do not fit the others; rare: probability of an rms at least so large, if the stated
     covariance holds; copied: rows that copy others; repeated: poses of the calibration itself;
     unlike: a sentence for each temperature or load outside the range of the calibration; read_as:
@@ -96,7 +96,6 @@ class Verification:
     tolerance: float | None = None
     unplaced: str | None = None
     faults: tuple[ColumnFault, ...] = ()
-    delay: DelayEntry | None = None
     shifts: Shifts = NOT_SEARCHED
     outliers: tuple[str, ...] = ()
     rare: float = 1.0
@@ -131,8 +130,6 @@ class Verification:
             readings = tuple(dict.fromkeys(q for one in self.faults for q in one.quantities))
             words = "; ".join(one.words for one in self.faults)
             return [fact("day-at-fault", Where(readings=readings), faults=words)]
-        if self.delay is not None and (delayed := late("day-delayed", self.delay)):
-            return [delayed]
         if self.innovation.p_value is None or self.changes is None:
             return [fact("no-redundancy")]
         stated = (self._moved(), self._larger(), self._unlike(), self._unsound(), *self._rows())

@@ -95,7 +95,7 @@ class Updated:
         """Why the update mixes two machines; None where it does not."""
         answer = self.check.verdict["consistent"]
         remedy = _WITHIN if self.check.shifts.found else _MIXED
-        remedy = remedy if self.check.delay is None else _ON_THE_WAY
+        remedy = _ON_THE_WAY if answer.code == "poses-delayed" else remedy
         return f"{answer.words} {remedy}" if answer.passed is False else None
 
 
