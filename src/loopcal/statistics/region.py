@@ -268,7 +268,7 @@ def _before(mechanism: Mechanism, group: OutputGroup, x: Array) -> NDArray[np.bo
 def ranges_of(
     mechanism: Mechanism, readings: Mapping[str, Array], stated: Mapping[str, Span]
 ) -> list[RegionRange]:
-    """The box of the working region; readings: (N,) [SI] of what drives the machine, NaN in gaps."""
+    """The box of the working region; readings: (N,) [SI] of what drives the machine, NaN: none."""
     limits = joint_limits(mechanism)
     turning = {q for q, unit in mechanism.joints.items() if unit == "rad"}
     ranges = []
