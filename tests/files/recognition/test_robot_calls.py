@@ -44,7 +44,8 @@ def test_joints_of_calls(tmp_path: Path, name: str, text: str) -> None:
     assert is_dh(path)
     table = read_dh(path)
     np.testing.assert_allclose([(r.a, r.d, r.alpha, r.offset) for r in table.rows], ROWS)
-    assert table.stated and not table.modified
+    assert table.stated
+    assert not table.modified
 
 
 def test_a_tree_states_its_convention(tmp_path: Path) -> None:
