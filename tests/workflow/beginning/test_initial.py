@@ -364,9 +364,7 @@ def test_joints_that_count_from_other_zeros_are_named_together(
 
 
 @pytest.mark.parametrize("sensor", ["points", "joints"])
-def test_readings_that_were_not_read_again_are_named(
-    tmp_path: Path, arm: Any, sensor: str
-) -> None:
+def test_readings_that_were_not_read_again_are_named(tmp_path: Path, arm: Any, sensor: str) -> None:
     """Both in turn may stand still: a pose measured twice, a target on the axis that turns."""
     joints, points = (values[:40].copy() for values in arm)
     joints[21], points[21] = joints[20], points[20] + NOISE
