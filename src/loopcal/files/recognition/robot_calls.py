@@ -69,8 +69,8 @@ def _matrices(text: str) -> Iterator[dict[str, str]]:
             yield _row(named, modified="modified" in matrix[2], slides=False)
     trees = dict(_TREE.findall(text))
     for name, form in trees.items():
-        matrix = re.search(rf"(?<!\w){name}\s*=\s*\[([^\[\]]*)\]", text)
-        for cells in _cells(matrix[1]) if matrix else ():
+        stated = re.search(rf"(?<!\w){name}\s*=\s*\[([^\[\]]*)\]", text)
+        for cells in _cells(stated[1]) if stated else ():
             named = dict(zip(_TREE_ORDER, cells, strict=False))
             yield _row(named, modified=form == "mdh", slides=False)
 
