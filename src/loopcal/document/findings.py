@@ -122,7 +122,7 @@ class Identifiability:
 
 @dataclass(frozen=True)
 class ScaleEntry:
-    """By how much one scale differs from another, relative to it."""
+    """By how much one scale differs from another, relative to it; or a distance too long."""
 
     instruments: tuple[str, ...]
     """Those of a station, beside the first station; none: all of them beside the drawing."""
@@ -132,6 +132,8 @@ class ScaleEntry:
     """Of a difference at least so large where there is none."""
     moves: Size
     """Rms distance [m] by which it moves the measured points about their mean."""
+    unit: str = "1"
+    """"m" of a distance that an instrument reads too long: size and sd are in m then."""
 
 
 @dataclass(frozen=True)

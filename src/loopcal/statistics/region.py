@@ -273,7 +273,7 @@ def _before(mechanism: Mechanism, group: OutputGroup, x: Array) -> NDArray[np.bo
 def ranges_of(
     mechanism: Mechanism, readings: Mapping[str, Array], stated: Mapping[str, Span]
 ) -> list[RegionRange]:
-    """The box of the working region; readings: (N,) [SI] of what drives the machine."""
+    """The box of the working region; readings: (N,) [SI] of what drives the machine, NaN: none."""
     limits = joint_limits(mechanism)
     turning = {q for q, unit in mechanism.joints.items() if unit == "rad"}
     ranges = []
@@ -283,7 +283,7 @@ def ranges_of(
         elif q in limits:
             ranges.append(RegionRange(q, limits[q].low, limits[q].high, "limits"))
         else:
-            low, high = float(row.min()), float(row.max())
+            low, high = float(np.nanmin(row)), float(np.nanmax(row))
             if q in turning:
                 middle = 0.5 * (low + high)
                 low, high = min(low, middle - _QUARTER), max(high, middle + _QUARTER)

@@ -163,7 +163,13 @@ _ELSEWHERE = 1.5
 """Errors in regions of the image not used over those of images not used, from which the lens is not
 known where no corner was. Chosen: as much again as the corners' noise."""
 _DRAWN = "the nominal machine"
-_BEYOND = ("scales-unlike", "scale-off-the-drawing", "overfitted", "observations-conflict")
+_BEYOND = (
+    "scales-unlike",
+    "scale-off-the-drawing",
+    "range-zero",
+    "overfitted",
+    "observations-conflict",
+)
 """Facts that leave a fit usable with care, but move predictions by more than half their sd."""
 
 
