@@ -217,6 +217,15 @@ def test_a_region_counts_where_the_camera_sees_the_whole_board() -> None:
     assert _in_view(seen, names, group, seen[1:], 0.0).all()
 
 
+def test_a_region_ends_where_no_corner_was_as_far_from_the_middle() -> None:
+    """A lens of eight coefficients was sure to 64 mm in the corners of an image, else to 0.2 mm."""
+    group = OutputGroup("eye", None, "px", ("u", "v"), (0, 1), 2)
+    cross = np.array([[0.0, 100.0, 50.0, 50.0], [50.0, 50.0, 0.0, 100.0]])
+    predicted = np.array([[80.0, 95.0, 120.0], [80.0, 95.0, 120.0]])
+    assert _in_view(cross, ("u", "v"), group, predicted, 0.0).tolist() == [True, False, False]
+    assert _in_view(cross, ("u", "v"), group, predicted, 0.5).tolist() == [True, True, True]
+
+
 def test_a_camera_that_moves_puts_the_board_as_far_away() -> None:
     problem, zero = problem_of(None, 1e-3, missing=False)
     rows = end_point_rows(problem, problem.start, problem.readings + zero, problem.pose_constants)

@@ -16,7 +16,7 @@ from analyses.verify import another_day
 from analyses.what_changed import CHANGES, draw
 from loopcal.estimation.problem.problem import build_problem
 from loopcal.statistics.change_tests import _System
-from loopcal.statistics.changed import LEVEL, Candidate, Change, WhatChanged
+from loopcal.statistics.changed import LEVEL, Candidate, Change, WhatChanged, larger
 from loopcal.statistics.innovation import Innovation
 from loopcal.statistics.possible_changes import BETWEEN_DAYS, Possible, possible
 from tests.reference.simulated import planar_arm
@@ -239,6 +239,13 @@ def test_the_zero_of_a_slide_is_not_blamed_where_the_machine_may_have_grown() ->
     what = WhatChanged("re-master", (change,), (), Innovation(40.0, 20, None, 1e-9), 1.0, 0.5)
     assert what.code == "re-master-slides"
     assert what.joints == ("Z",)
+
+
+@pytest.mark.parametrize(("freedom", "seen"), [(5, 1.0), (60, 3.0)])
+def test_few_poses_show_no_larger_error_by_chance(freedom: int, seen: float) -> None:
+    """Of 12 unchanged poses the 5 degrees of freedom that changes left had the variance 3; an error
+    1.7 times as large as stated was named, while the poses erred as stated."""
+    assert larger(3.0, freedom, 200.0) == seen
 
 
 def test_the_zero_of_a_slide_has_the_sizes_of_a_length() -> None:

@@ -12,7 +12,10 @@ import pytest
 
 import loopcal as lc
 from analyses.gauntlet_worlds import Run, World, bending
+from loopcal.statistics.another_day import Day
 from loopcal.statistics.calibrated import Calibrated
+from loopcal.statistics.day_run import _system
+from loopcal.statistics.possible_changes import ALONG_A_DAY, possible
 from loopcal.statistics.verification import _repeated
 
 Rng = np.random.Generator
@@ -193,6 +196,57 @@ def test_rows_that_copy_others_count_once() -> None:
     assert found.copied == 10
     assert len(found.poses) == 30
     assert found.verdict["consistent"].code == "rows-copied"
+
+
+def read_on_the_way(readings: Any, rng: Rng) -> Any:
+    """Joints from before each pose is reached, by a hundredth of the way from the last one."""
+    return {
+        q: v - 0.01 * np.diff(v, prepend=v[0]) if q.startswith("q") else v
+        for q, v in readings.items()
+    }
+
+
+def test_poses_that_are_read_on_the_way_are_named_with_their_share() -> None:
+    """They were "706 times as much as the calibration states", to be calibrated anew."""
+    found = later(WORLD, tamper=read_on_the_way)
+    answer = found.verdict["consistent"]
+    assert (answer.passed, answer.code) == (False, "poses-delayed")
+    assert "the machine's readings are from before each pose is reached" in answer.words
+    assert found.changes is not None
+    (change,) = found.changes.found
+    assert -change.value == pytest.approx(0.01, rel=0.1)
+
+
+def test_a_drift_has_the_sign_of_the_readings() -> None:
+    (point,) = later(WORLD, event=drifting).shifts.told_apart
+    assert point.names == ("x", "y", "z")
+    assert [np.sign(point.changes[q].size) for q in "xyz"] == [1.0, -1.0, 1.0]
+
+
+def hung_anew(run: Run, rng: Rng) -> None:
+    run.zero += 6e-3
+
+
+def test_a_wire_whose_zero_changed_is_named() -> None:
+    """It was "an error that no change explains", to be calibrated anew."""
+    found = later(World("six", "wire", poses=150), event=hung_anew)
+    assert found.changes is not None
+    (change,) = found.changes.found
+    assert change.name == "wire_offset"
+    assert abs(change.value) == pytest.approx(6e-3, rel=0.2)
+
+
+def test_what_slides_read_grows_with_the_machine_along_a_run() -> None:
+    """A gantry that warmed up was named as a drift of the instrument along its long axis."""
+    first = Calibrated.of(calibrated(World("scara", poses=100)), "first")
+    assert first.poses is not None
+    day = Day.of(first, first.poses, None, False)
+    (growth,) = (one for one in possible(day.problem, ALONG_A_DAY) if one.kind == "expansion")
+    assert "q3 in proportion" in growth.names
+    linear = day.linearised()
+    system = _system(linear, np.zeros((len(linear.e), 0)))
+    of_rows = growth.columns(linear.placement.columns) / np.sqrt(linear.factor)
+    assert growth.columns(system.columns).reshape(of_rows.shape) == pytest.approx(of_rows)
 
 
 def test_the_poses_of_the_calibration_prove_nothing() -> None:

@@ -16,6 +16,7 @@ from loopcal.statistics.verdict import findings_of
 from tests.reference.simulated import planar_arm
 from tests.statistics.test_camera_changes import LENS, PLACE, POINTS, SDS
 from tests.statistics.test_comparison import sds_of
+from tests.statistics.test_verdict import depends
 
 SHARE = 0.02
 FILES = {"project": "project.toml", "result": "result"}
@@ -42,17 +43,26 @@ def delayed(true: dict[str, NDArray[np.float64]], step: int) -> dict[str, NDArra
     return dict(zip(("qx", "qy", "qz", "qw", *"xyz"), (*turn, *place), strict=True))
 
 
-def calibrated(step: int, seed: int = 1, ordered: bool = False) -> lc.Result:
+def machine() -> lc.Mechanism:
     eye = lc.instruments.camera("eye", points=POINTS, lens="pinhole")
-    machine = lc.assemble(lc.machines.free_body(), [eye], {**PLACE, **LENS})
-    true, noise = hands(seed, ordered), lc.Noise(SDS)
-    data = lc.simulate(machine, true, noise=noise, seed=seed).dataset
+    return lc.assemble(lc.machines.free_body(), [eye], {**PLACE, **LENS})
+
+
+def read(step: int, seed: int, ordered: bool = False) -> lc.Dataset:
+    true = hands(seed, ordered)
+    data = lc.simulate(machine(), true, noise=lc.Noise(SDS), seed=seed).dataset
+    if not step:
+        return data
     stated = delayed(true, step)
     moved = {c: data[c] + stated[c] - true[c] for c in "xyz"}
-    turns = {c: stated[c] for c in ("qx", "qy", "qz", "qw")}
-    read = data.with_readings({**moved, **turns})
+    return data.with_readings({**moved, **{c: stated[c] for c in ("qx", "qy", "qz", "qw")}})
+
+
+def calibrated(step: int, seed: int = 1, ordered: bool = False) -> lc.Result:
+    noise = lc.Noise(SDS)
     noise = lc.Noise(SDS, estimate={"[xyz]": "group", "w?": "group"}) if step else noise
-    return lc.calibrate(machine, read, noise=noise, method="implicit-loop")
+    data = read(step, seed, ordered)
+    return lc.calibrate(machine(), data, noise=noise, method="implicit-loop")
 
 
 @pytest.mark.parametrize("step", [1, -1])
@@ -79,8 +89,8 @@ def test_an_instrument_may_read_before_the_machine_stands() -> None:
     left = {name: SHARE * (np.roll(values, 1) - values) for name, values in q.items()}
     true = {name: values + left[name] for name, values in q.items()}
     data = lc.simulate(arm.truth, true, noise=noise, seed=1).dataset
-    read = data.with_readings({name: data[name] - left[name] for name in q})
-    delay = find_shifts(lc.calibrate(arm.truth, read, noise=noise, method="implicit-loop")).delay
+    late = data.with_readings({name: data[name] - left[name] for name in q})
+    delay = find_shifts(lc.calibrate(arm.truth, late, noise=noise, method="implicit-loop")).delay
     assert delay is not None
     assert not delay.ahead
     assert delay.share == pytest.approx(-SHARE, abs=0.1 * SHARE)
@@ -120,3 +130,43 @@ def test_a_robot_that_states_poses_of_its_flange_is_sent_to_images_and_not_to_pl
     steps = [one.next for one in made if one.next]
     assert any("random order, with the hand turned" in step.words for step in steps)
     assert not any((step.command or "").startswith("loopcal plan") for step in steps)
+
+
+def test_a_robot_whose_poses_err_alike_is_asked_for_its_joints() -> None:
+    document = replace(calibrated(0).document, dependence=depends(1.0, 1e-9))
+    (one,) = (f for f in findings_of(document, files=FILES) if f.code == "model-incomplete")
+    assert one.next is not None
+    assert one.next.words.startswith("State the joints in place of the poses")
+    assert one.next.command is None
+
+
+@pytest.mark.parametrize("step", [1, -1])
+def test_a_delay_of_another_day_is_named_and_nothing_else(step: int) -> None:
+    found = lc.verify(calibrated(0), read(step, 2))
+    assert found.changes is not None
+    (one,) = found.changes.found
+    assert one.kind == "delay"
+    assert -one.value == pytest.approx(SHARE, abs=max(3.0 * one.sd, 1e-3))
+    answer = found.verdict["consistent"]
+    assert "poses-delayed" in answer.codes
+    assert f"% of the way {'to the next' if step > 0 else 'from the last'} one" in answer.words
+
+
+def test_joints_of_another_day_that_were_read_late_are_named() -> None:
+    arm, noise = planar_arm(40), lc.Noise(sds_of(planar_arm(40)))
+    first = lc.calibrate(arm.truth, arm.read(sds_of(arm), 1), noise=noise, method="implicit-loop")
+    q = {name: arm.read(sds_of(arm), 2)[name] for name in ("phi2", "phi3")}
+    data = lc.simulate(arm.truth, q, noise=noise, seed=2).dataset
+    late = {n: data[n] + SHARE * (np.roll(data[n], -1) - data[n]) for n in q}
+    found = lc.verify(first, data.with_readings(late))
+    assert found.changes is not None
+    (one,) = found.changes.found
+    assert one.kind == "delay"
+    assert -one.value == pytest.approx(SHARE, abs=0.1 * SHARE)
+
+
+@pytest.mark.parametrize("seed", range(2, 6))
+def test_another_day_of_the_right_moment_has_no_delay(seed: int) -> None:
+    found = lc.verify(calibrated(0), read(0, seed))
+    assert found.changes is not None
+    assert not found.changes.found

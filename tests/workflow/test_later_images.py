@@ -80,7 +80,7 @@ def test_a_moved_camera_is_named(
     assert stated.verdict["consistent"].passed
 
 
-def test_the_shift_of_a_moved_camera_is_that_of_its_centre(
+def test_a_camera_is_shifted_as_its_centre_is_and_turned(
     first: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before, (x, y, z, rz, ry, rx) = placed(test_camera.FAR), test_camera.FAR
@@ -91,6 +91,12 @@ def test_the_shift_of_a_moved_camera_is_that_of_its_centre(
     assert done.changes is not None
     (change,) = done.changes.found
     assert change.low < 0.002 < change.high
+    assert change.turn is not None
+    turn, half = change.turn
+    between = R @ before[:3, :3].T
+    assert turn == pytest.approx(np.arccos(0.5 * (np.trace(between) - 1.0)), abs=1.5 * half)
+    assert half < 0.2 * turn
+    assert f"and turned by {np.degrees(turn):.2f} deg" in change.words
     assert np.linalg.norm(placed(test_camera.FAR)[:3, 3] - before[:3, 3]) > change.high
 
 

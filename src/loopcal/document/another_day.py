@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
+from loopcal.document.of_images import MOMENT
 from loopcal.document.verdict import Row
 
 _VERIFY = "loopcal verify {result} {readings}"
@@ -63,7 +64,7 @@ ANOTHER_DAY = (
     ),
     _not_consistent(
         "re-master-slides",
-        _NOT_AS_CALIBRATED,
+        "The machine is not as calibrated: a spindle or column grew, or {changes}.",
         "Verify at the temperature of the calibration: a spindle or column that grew looks the "
         "same. If it stays, re-master {joints}, or update the calibration with these poses.",
         _VERIFY,
@@ -122,6 +123,13 @@ ANOTHER_DAY = (
         "anew, or update the calibration with these images.",
         _UPDATE,
         shared="changed",
+    ),
+    _not_consistent(
+        "day-delayed",
+        "Poses and readings of this day are not of one moment: {changes}.",
+        f"{MOMENT} Then verify again.",
+        _VERIFY,
+        shared="poses-delayed",
     ),
     _not_consistent(
         "load-changed",

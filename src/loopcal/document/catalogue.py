@@ -268,6 +268,12 @@ _ROWS = (
         detail=_MOVES,
     ),
     _sound_open(
+        "range-zero",
+        "{subject} reads distances {zero:2} (sd {sd:2}) too {which}, as by a wrong prism constant.",
+        "Correct the constant of the prism or reflector in the readings, and calibrate again.",
+        detail=_MOVES,
+    ),
+    _sound_open(
         "sds-contradicted",
         "{contradicted}.",
         "Check the units of the stated sds, or leave them out.",

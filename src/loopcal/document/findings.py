@@ -122,7 +122,7 @@ class Identifiability:
 
 @dataclass(frozen=True)
 class ScaleEntry:
-    """By how much one scale differs from another, relative to it."""
+    """By how much one scale differs from another, relative to it; or a distance too long."""
 
     instruments: tuple[str, ...]
     """Those of a station, beside the first station; none: all of them beside the drawing."""
@@ -132,6 +132,8 @@ class ScaleEntry:
     """Of a difference at least so large where there is none."""
     moves: Size
     """Rms distance [m] by which it moves the measured points about their mean."""
+    unit: str = "1"
+    """"m" of a distance that an instrument reads too long: size and sd are in m then."""
 
 
 @dataclass(frozen=True)
@@ -146,6 +148,17 @@ class DelayEntry:
     sd: Size
     p_value: Probability
     """Of a share at least so large where there is none."""
+
+    def words(self, sure: str = "") -> str:
+        """Whose readings are from when; sure: behind the share."""
+        share = f"{significant(100.0 * abs(self.share), 2)} %{sure} of the way"
+        moment = (
+            f"after each pose is left: {share} to the next one is done"
+            if self.ahead
+            else f"before each pose is reached: {share} from the last one is left"
+        )
+        whose = "machine's" if self.share > 0.0 else "instrument's"
+        return f"the {whose} readings are from {moment}"
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,13 @@ from loopcal.document.verdict import Row
 
 _not_sound = partial(Row, "sound", "refuse")
 _CHECK, _REPORT = "loopcal check {project}", "loopcal report {result}"
-_MOMENT = "Read each pose while the machine stands, at the moment of its image or reading."
+MOMENT = "Read each pose while the machine stands, at the moment of its image or reading."
 # The order counts, as in the catalogue.
 OF_IMAGES = (
     _not_sound(
         "poses-delayed",
-        "The {whose} readings are from {moment} (sd {spread} %).",
-        _MOMENT,
+        "{delay} (sd {spread} %).",
+        MOMENT,
         _CHECK,
         detail="Machine and instrument were not read at the same moment, or the machine did not "
         "stand.",
@@ -25,7 +25,7 @@ OF_IMAGES = (
         "images-contradict",
         "The images contradict the machine: they are {misfit:2} (rms) off what it says, in "
         "{camera}.",
-        f"Look at the images with the largest residuals. {_MOMENT}",
+        f"Look at the images with the largest residuals. {MOMENT}",
         _REPORT,
         detail="An industrial arm is off by a fifth of that before it is calibrated. Unless yours "
         "is that loose, something else is wrong.",

@@ -19,8 +19,9 @@ from loopcal.measurements.noise import MODEL, Noise
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.innovation import Linearised, components_of
 from loopcal.statistics.joint_errors import JointErrors
+from loopcal.statistics.neighbours import WAYS, delayed
 from loopcal.statistics.possible_changes import (
-    ALONG_A_RUN,
+    ALONG_A_DAY,
     Possible,
     changed_share,
     possible,
@@ -84,12 +85,14 @@ class Day:
 
     def placed(self, changes: Mapping[str, float] = {}) -> Replaced:
         """With what stands elsewhere placed anew, after changes [SI] of parameters, of the zeros of
-        readings and of readings in proportion, by name."""
+        readings and of readings in proportion, and after delays, by name."""
         problem, mechanism = self.problem, self.problem.mechanism
         names, order = mechanism.parameters.names, mechanism.tape.quantities
         start, readings = problem.start.copy(), problem.readings.copy()
         for name, change in changes.items():
-            if (stem := name.removesuffix(IN_PROPORTION)) != name:
+            if name in WAYS:
+                readings += delayed(problem, name, change).readings - problem.readings
+            elif (stem := name.removesuffix(IN_PROPORTION)) != name:
                 readings[order.index(stem)] *= 1.0 + change
             elif name in order:
                 readings[order.index(name)] += change
@@ -141,7 +144,7 @@ class Day:
         number = np.empty(len(self.problem.poses))
         number[pose_order(self.problem)] = np.arange(1.0, len(number) + 1.0)
         row = number[placement.row_poses][:, None]
-        causes = {one.titles: one for one in possible(self.problem, ALONG_A_RUN)}
+        causes = {one.titles: one for one in possible(self.problem, ALONG_A_DAY)}
         columns = []
         for point in self.moved:
             share = changed_share(row, point.number, point.until)

@@ -40,6 +40,7 @@ from loopcal.statistics.possible_changes import (
     possible,
     unit_of,
 )
+from loopcal.statistics.range_zeros import range_zeros
 from loopcal.statistics.run_order import FOLLOWED, order_by_joints, path_cosines, told_by_joints
 from loopcal.statistics.scales import scale_columns, scales
 
@@ -144,7 +145,7 @@ def find_shifts(result: FitResult, *, level: float = 0.01, most: int = MOST) -> 
         return replace(NOT_SEARCHED, level=level)
     with one_blas_thread():
         shifts, fit = Search(ordered_system(result), level).run(most)
-        return replace(shifts, scales=scales(fit), delay=pose_delay(fit))
+        return replace(shifts, scales=(*scales(fit), *range_zeros(fit)), delay=pose_delay(fit))
 
 
 def searchable(poses: int) -> bool:

@@ -128,7 +128,7 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
     changes = system.changes(chosen, p_values, rivals)
     verdict = _verdict(whole.p_value, changes, left)
     moved = causes.changes(system.t)
-    what = WhatChanged(verdict, changes, begun.tested(), whole, begun.scale, left, moved)
+    what = WhatChanged(verdict, changes, begun.tested(), whole, begun.spread, left, moved)
     return Explained(what, system.linear, system.columns(chosen))
 
 
@@ -222,7 +222,7 @@ class _System:
     less what the placement takes up; visible: (m,); group: of each cause the first with the same
     column; freedom: (m,) degrees of freedom of the variance of each direction; linear: the
     equations at t; every: all causes but loads without mass together; scale: of S, by these poses;
-    scale_freedom: its degrees of freedom, None where the stated variances are taken.
+    scale_freedom: its degrees of freedom, None if as stated; spread: `changed.larger` of it.
     """
 
     day: Day
@@ -239,6 +239,7 @@ class _System:
     every: Estimated
     scale: float
     scale_freedom: float | None
+    spread: float
 
     @classmethod
     def of(cls, day: Day, causes: _Causes, linear: Linearised, t: Array) -> _System:
@@ -268,16 +269,17 @@ class _System:
         every = Estimated.of(
             (g / scale)[rows], alike[np.ix_(rows, rows)], np.ones(len(rows)), _SAME
         )
-        wider, wider_freedom = 1.0, None
+        wider, wider_freedom, spread = 1.0, None, 1.0
         left = len(linear.e) - linear.rank - every.rank
         if (day.calibrated.carried or day.calibrated.rejected is not None) and left >= _ENOUGH:
             wider = max((value - every.gain) / left, 1.0)
             learnt = linear.denominator((U / scale)[:, rows] @ every.root) or np.inf
             # Relative variances 2 / nu of independent errors of a scale add up.
             wider_freedom = 1.0 / (1.0 / left + 1.0 / learnt)
+            spread = changed.larger(wider, left, learnt)
             freedom = 1.0 / (1.0 / freedom + 1.0 / left)
         held = G, g, t, present, value, visible, group, freedom, linear, every
-        return cls(day, causes, *held, wider, wider_freedom)
+        return cls(day, causes, *held, wider, wider_freedom, spread)
 
     def _rows(self, *chosen: int) -> NDArray[np.intp]:
         """The visible directions of these causes."""
@@ -470,6 +472,10 @@ class _System:
                 size, sd = self._with_tools(j, chosen)
             half = t_quantile(0.95, self._freedom(j)) * sd
             parts: dict[str, float] = {}
+            turn: tuple[float, float] | None = None
+            if cause.parts and "rad" in cause.units:
+                angle, angle_sd, _ = self._size(j, chosen, turn=True)
+                turn = angle, t_quantile(0.95, self._freedom(j)) * angle_sd
             hidden: tuple[str, ...] = ()
             if one.kind in PLACED and len(cause.names) > 1 and not cause.parts:
                 rows = self.causes.rows(j)
@@ -489,12 +495,16 @@ class _System:
                     self._alike(chosen, j, rivals[j]),
                     parts,
                     hidden,
+                    turn,
                 )
             )
         return tuple(changes)
 
-    def _size(self, j: int, chosen: Sequence[int]) -> tuple[float, float, Array]:
-        """The size of an accepted change [unit] and its sd, and its parts (m,).
+    def _size(
+        self, j: int, chosen: Sequence[int], *, turn: bool = False
+    ) -> tuple[float, float, Array]:
+        """The size of an accepted change [unit] and its sd, and its parts (m,); turn: of its parts
+        in another unit.
 
         Of several parts the length of those in the unit of the cause, but for parts that may be
         larger than the largest that is sure.
@@ -506,7 +516,7 @@ class _System:
             (at,) = part
             t[rows[at]] = together.size[at]
             return float(together.size[at]), float(np.sqrt(covariance[at, at])), t
-        part = part[self.causes.in_unit(j, rows[part])]
+        part = part[self.causes.in_unit(j, rows[part]) ^ turn]
         sizes = np.abs(together.size[part])
         halves = t_quantile(0.95, self._freedom(j)) * np.sqrt(np.diag(covariance)[part])
         if (sure := halves <= sizes).any():

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from loopcal.document.findings import DelayEntry
 from loopcal.presentation.shown import (
     by_sd,
     p_words,
@@ -16,7 +17,10 @@ from loopcal.presentation.shown import (
     unit_shown,
     with_unit,
 )
+from loopcal.small_samples import f_tail
 from loopcal.statistics.innovation import Innovation
+from loopcal.statistics.judged_readings import RARE
+from loopcal.statistics.neighbours import WAYS
 
 # Record 0053.
 LEVEL = 0.015
@@ -39,6 +43,7 @@ _WORDS = {
     "print": "prints",
     "expansion": "scales",
     "drift": "drifts along the run",
+    "delay": "delays",
 }
 DRIFT_OR_CHANGE = "drift-or-change"
 """The verdict where a drift of the instrument along the run explains the changes."""
@@ -79,6 +84,8 @@ class Candidate:
     @property
     def seen(self) -> str:
         """The smallest change that is seen."""
+        if self.kind == "delay":
+            return f"{significant(100.0 * (self.smallest or 0.0), 2)} % of the way"
         if self.unit == "1":
             return f"{significant(1e6 * (self.smallest or 0.0), 2)} ppm"
         return with_unit(self.smallest, self.unit, 2)
@@ -97,7 +104,8 @@ class Change:
     value, low, high: [unit] how much, with its 95 % interval; p_value: adjusted for the search;
     alike: further candidates which explain these poses about as well; parts: how much of each [SI],
     where several change together; the value is then the length of those in its unit; hidden:
-    parts that these poses do not determine.
+    parts that these poses do not determine; turn: of what moved as one, and half of its 95 %
+    interval [rad].
     """
 
     name: str
@@ -111,6 +119,7 @@ class Change:
     alike: tuple[Candidate, ...]
     parts: Mapping[str, float] = field(default_factory=dict)
     hidden: tuple[str, ...] = ()
+    turn: tuple[float, float] | None = None
 
     @property
     def zeros(self) -> tuple[str, ...]:
@@ -140,6 +149,10 @@ class Change:
     @property
     def words(self) -> str:
         """The change in a sentence without its end."""
+        if self.kind == "delay":
+            sure = significant(50.0 * (self.high - self.low), 2)
+            delay = DelayEntry(WAYS[self.name] > 0, -self.value, self.sd, self.p_value)
+            return delay.words(f" ± {sure} %")
         verb = _VERBS.get(self.kind, "changed")
         if self.kind == "load" and self.unit != "kg":
             return f"{self.where} {verb}"
@@ -152,6 +165,9 @@ class Change:
             return f"{self.where} {verb} by {value} ± {sure} ppm"
         moved, unit = by_sd(self.value, self.sd, self.unit), unit_shown(self.unit)
         words = f"{self.where} {verb} by {moved} {unit} ± {size(half, self.unit, 2)} {unit}"
+        if self.turn and self.turn[0] > self.turn[1]:
+            turn, sure = (with_unit(one, "rad", 2) for one in self.turn)
+            words += f" and turned by {turn} ± {sure}"
         parts = [f"{n} {with_unit(v, self.unit)}" for n, v in self.parts.items()]
         parts += [f"{n} unknown" for n in self.hidden]
         return f"{words} ({', '.join(parts)})" if parts else words
@@ -173,8 +189,8 @@ class WhatChanged:
 
     verdict: unchanged, re-master, calibrate-anew or drift-or-change; found: the changes, in the
     order of the search; candidates: all that was tested; test: of the whole; spread: by how much
-    these poses vary more than stated, where that is not taken as a change; left: p-value of the
-    whole after these changes, None without redundancy; moved: what the changes move [SI], by name.
+    these poses vary more than stated, where that is sure and no change; left: p-value of the whole
+    after these changes, None without redundancy; moved: what the changes move [SI], by name.
     """
 
     verdict: str
@@ -215,6 +231,8 @@ class WhatChanged:
             return self.verdict
         if len(self.found) == SOUGHT and self.left is not None and self.left < LEVEL:
             return "more-changed"
+        if any(change.kind == "delay" for change in self.found):
+            return "day-delayed"
         mounted = all(change.mounted for change in self.found)
         if self.verdict == "re-master":
             if not mounted and any(change.conditional for change in self.found):
@@ -304,3 +322,8 @@ def _some(names: Sequence[str]) -> str:
     more = len(names) - _MOST_NAMED
     shown = ", ".join(names[:_MOST_NAMED])
     return f"{shown} and {more} more" if more > 0 else shown
+
+
+def larger(scale: float, freedom: int, learnt: float) -> float:
+    """A scale of variances from so many degrees of freedom, or 1 where it may be chance."""
+    return scale if f_tail(scale * freedom, freedom, learnt) < RARE else 1.0

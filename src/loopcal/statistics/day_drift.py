@@ -32,14 +32,14 @@ from loopcal.statistics.changed import POWER, Candidate
 from loopcal.statistics.estimated import Estimated
 from loopcal.statistics.innovation import Linearised
 from loopcal.statistics.possible_changes import (
-    ALONG_A_RUN,
+    ALONG_A_DAY,
     Possible,
     changed_share,
     possible,
     unit_of,
 )
 from loopcal.statistics.run_drift import drifting
-from loopcal.statistics.run_order import FOLLOWED, order_by_joints, told_by_joints
+from loopcal.statistics.run_order import tells_order, told_by_joints
 
 # Chosen, not derived: far above rounding, far below a direction that poses show.
 _SHOWN = 1e-6
@@ -120,7 +120,7 @@ class _Beside:
         """Log p of each step of a cause between two poses."""
         end = len(self.day.problem.poses) - LEAST
         number = np.round((len(self.day.problem.poses) - 1) * self.share)
-        for cause in (one for one in possible(self.day.problem, ALONG_A_RUN) if one.steps):
+        for cause in (one for one in possible(self.day.problem, ALONG_A_DAY) if one.steps):
             raw, rare = self.columns(cause), RARE.get(cause.kind, 0.0)
             for at in range(LEAST, end + 1):
                 yield self.estimated(changed_share(number, at, None) * raw).log_p() + rare
@@ -168,7 +168,8 @@ def drifted(day: Day, explained: Explained) -> tuple[Shifts, Day, Explained] | N
     if best.log_p >= limit:
         return None
     joints = day.problem.readings[joint_rows(day.problem)][:, pose_order(day.problem)].T
-    sure = best.cause.kind in DRIFTING and order_by_joints(joints) < FOLLOWED
+    # What is not known of the machine is in S, so that few poses in random order will do.
+    sure = best.cause.kind in DRIFTING and not tells_order(joints)
     point = replace(_point(day, best, ramps), imitated=told_by_joints(joints) is not None)
     shifts = Shifts((point,), level, len(day.problem.poses), told_apart=(point,) if sure else ())
     return shifts, moved, beside
@@ -176,7 +177,7 @@ def drifted(day: Day, explained: Explained) -> tuple[Shifts, Day, Explained] | N
 
 def _causes(day: Day) -> list[Possible]:
     """What may change all along a run."""
-    return [one for one in possible(day.problem, ALONG_A_RUN) if one.ramps]
+    return [one for one in possible(day.problem, ALONG_A_DAY) if one.ramps]
 
 
 def _scale(explained: Explained) -> float:
@@ -191,7 +192,10 @@ def _point(day: Day, best: _Ramp, ramps: list[_Ramp]) -> ChangePoint:
     cause, poses, order = best.cause, day.problem.poses, pose_order(day.problem)
     sds = best.estimated.sds * math.sqrt(best.scale)
     units = cause.part_units(day.problem)
-    sizes = zip(cause.titles, best.estimated.size.tolist(), sds.tolist(), units, strict=True)
+    # Of an instrument by how much its reading exceeds the true value, as `change_points` has it.
+    sign = -1.0 if cause.kind == "reading" else 1.0
+    size = (sign * best.estimated.size).tolist()
+    sizes = zip(cause.titles, size, sds.tolist(), units, strict=True)
     alike = [
         one.cause
         for one in ramps

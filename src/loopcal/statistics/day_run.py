@@ -22,16 +22,17 @@ from loopcal.arrays import Array
 from loopcal.chi_squared import tail
 from loopcal.document.change_points import NOT_SEARCHED, ChangePoint, Shifts
 from loopcal.document.findings import ColumnFault
-from loopcal.estimation.dependence.dependence import pose_order
+from loopcal.estimation.dependence.dependence import joint_rows, pose_order
 from loopcal.estimation.faults.search import column_faults
 from loopcal.estimation.problem.problem import Problem
 from loopcal.statistics.another_day import Day
-from loopcal.statistics.change_points import Search, searchable
+from loopcal.statistics.change_points import DRIFTING, Search, searchable
 from loopcal.statistics.change_tests import Explained
 from loopcal.statistics.innovation import Linearised
 from loopcal.statistics.ordered_system import Fitted, OrderedSystem
-from loopcal.statistics.possible_changes import ALONG_A_RUN
+from loopcal.statistics.possible_changes import ALONG_A_DAY
 from loopcal.statistics.replacing import ASTRAY
+from loopcal.statistics.run_order import tells_order
 
 # Chosen, not derived: one good run of a hundred, as of the poses of a calibration.
 _LEVEL = 0.01
@@ -98,8 +99,20 @@ def searched(explained: Explained) -> Run:
     system = _system(linear, explained.columns)
     if not searchable(len(linear.placement.problem.poses)):
         return Run(outliers=_outliers(linear, system.fitted()))
-    shifts, fit = Search(system, causes=ALONG_A_RUN).run()
-    return Run(shifts, _outliers(linear, fit))
+    shifts, fit = Search(system, causes=ALONG_A_DAY).run()
+    return Run(_clear(shifts, linear.placement.problem), _outliers(linear, fit))
+
+
+def _clear(shifts: Shifts, problem: Problem) -> Shifts:
+    """With drifts told apart from the held machine, whose errors need fewer poses for that."""
+    if tells_order(problem.readings[joint_rows(problem)][:, pose_order(problem)].T):
+        return shifts
+    apart = tuple(
+        one
+        for one in shifts.found
+        if one in shifts.told_apart or (one.shape == "ramp" and one.moved in DRIFTING)
+    )
+    return replace(shifts, told_apart=apart)
 
 
 def _outliers(linear: Linearised, fit: Fitted) -> tuple[int, ...]:
@@ -138,7 +151,10 @@ def _system(linear: Linearised, changed: Array) -> OrderedSystem:
     quantities = problem.mechanism.tape.quantities
     zeros = np.flatnonzero(np.isfinite(problem.uncertainty.sd).any(axis=1)).tolist()
     X_rows = np.zeros((len(linear.e), k))
-    X_rows[:, zeros] = -scale * placement.columns([quantities[i] for i in zeros])
+    # Of an instrument, as in a calibration, what its reading exceeds the true value by; of a joint
+    # what the true value exceeds its reading by, as a zero that changed between two days.
+    sign = np.array([-scale if i in joint_rows(problem) else scale for i in zeros])
+    X_rows[:, zeros] = sign * placement.columns([quantities[i] for i in zeros])
     Z_rows, D_rows = np.hstack([linear.F, changed, linear.A]), scale * placement.J[:, problem.free]
     E, Z = np.zeros((N, R)), np.zeros((N, R, Z_rows.shape[1]))
     D, X = np.zeros((N, R, D_rows.shape[1])), np.zeros((N, R, k))

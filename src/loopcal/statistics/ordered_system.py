@@ -28,6 +28,7 @@ from loopcal.lazy import cached_property
 from loopcal.mechanisms.structure.smooth import DISCREPANCY, Smooth
 from loopcal.statistics.estimated import Estimated
 from loopcal.statistics.possible_changes import held_station
+from loopcal.statistics.replacing import IN_PROPORTION
 
 # Chosen, not derived: from two sds on a pose counts less, in so many rounds of weights.
 _HUBER, _ROUNDS = 2.0, 3
@@ -96,16 +97,21 @@ class OrderedSystem:
         )
 
     def columns(self, names: Sequence[str]) -> Array:
-        """(N, R, d) of a change of these parameters or zeros of readings by one [SI]."""
+        """(N, R, d) of a change of these parameters, zeros of readings or readings in proportion by
+        one [SI]."""
         quantities = self.problem.mechanism.tape.quantities
-        changes = [
-            -self.X[:, :, quantities.index(n)]
-            if n in quantities
-            else self.D[:, :, self.problem.names.index(n)]
-            if n in self.problem.names
-            else self._held_station[n]
-            for n in names
-        ]
+        changes = []
+        for n in names:
+            if (stem := n.removesuffix(IN_PROPORTION)) != n:
+                i = quantities.index(stem)
+                read = self.problem.readings[i, self.order]
+                changes.append(-self.X[:, :, i] * read[:, None])
+            elif n in quantities:
+                changes.append(-self.X[:, :, quantities.index(n)])
+            elif n in self.problem.names:
+                changes.append(self.D[:, :, self.problem.names.index(n)])
+            else:
+                changes.append(self._held_station[n])
         return np.stack(changes, axis=2)
 
     @cached_property

@@ -18,17 +18,14 @@ f = N - 1 less the columns.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.document.findings import DelayEntry
 from loopcal.estimation.dependence.dependence import joint_rows
-from loopcal.estimation.problem.problem import Problem
-from loopcal.mechanisms.parallel.free_body import COLUMNS, TURNS
 from loopcal.small_samples import f_tail
+from loopcal.statistics.neighbours import motions
 from loopcal.statistics.ordered_system import Fitted
 from loopcal.statistics.run_order import told_by_joints
 
@@ -42,7 +39,7 @@ def pose_delay(fit: Fitted) -> DelayEntry | None:
     tell the order, and of few poses."""
     system = fit.system
     rows, order = joint_rows(system.problem), system.order
-    at = _motions(system.problem, rows, order)
+    at = motions(system.problem, rows, order)
     if not rows or told_by_joints(at) is not None:
         return None
     names = [system.problem.mechanism.tape.quantities[i] for i in rows]
@@ -50,7 +47,7 @@ def pose_delay(fit: Fitted) -> DelayEntry | None:
     entries = []
     for step in (1, -1):
         to = order[np.clip(i + step, 0, len(at) - 1)]
-        entry = _entry(fit, along, at, _motions(system.problem, rows, to, order), step > 0)
+        entry = _entry(fit, along, at, motions(system.problem, rows, to, order), step > 0)
         entries += [] if entry is None else [entry]
     return min(entries, key=lambda one: one.p_value, default=None)
 
@@ -70,22 +67,3 @@ def _entry(fit: Fitted, along: Array, at: Array, motion: Array, ahead: bool) -> 
         return None
     # both are tried
     return DelayEntry(ahead, share, sd, min(1.0, 2.0 * f_tail((share / sd) ** 2, 1, freedom)))
-
-
-def _motions(
-    problem: Problem, rows: Sequence[int], to: NDArray[np.intp], of: NDArray[np.intp] | None = None
-) -> Array:
-    """(N, q) of the readings in these rows, to these poses from others, or from their mean; small
-    turns of a body that is turned freely as the vector of its rotation."""
-    read = problem.readings[list(rows)].T
-    motions = read[to] - (read.mean(axis=0) if of is None else read[of])
-    names = [problem.mechanism.tape.quantities[i] for i in rows]
-    constants = list(problem.mechanism.pose_constants)
-    if {*TURNS} <= {*names} and {*COLUMNS} <= {*constants}:
-        from scipy.spatial.transform import Rotation
-
-        w, *xyz = (problem.pose_constants[constants.index(c)] for c in COLUMNS)
-        R = Rotation.from_quat(np.column_stack([*xyz, w]))
-        turns = ((R.mean() if of is None else R[of]).inv() * R[to]).as_rotvec()
-        motions[:, [names.index(t) for t in TURNS]] = turns
-    return np.asarray(motions)

@@ -1,7 +1,8 @@
 """What may change on a machine: a row for each cause that is tried.
 
 A row names the parameters, or the zeros of readings, that change together. `ALONG_A_RUN` are the
-causes of a change between two poses of one run, `BETWEEN_DAYS` those of one since a calibration.
+causes of a change between two poses of one run, `ALONG_A_DAY` of a run after the calibration,
+`BETWEEN_DAYS` those of a change since it.
 """
 
 from __future__ import annotations
@@ -13,17 +14,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from loopcal.arrays import Array
+from loopcal.estimation.dependence.dependence import joint_rows
 from loopcal.estimation.problem.problem import Problem
 from loopcal.mechanisms.mechanism import PIXELS
 from loopcal.mechanisms.parameters import GEOMETRY
 from loopcal.mechanisms.placement import ChainPlacement
 from loopcal.mechanisms.station import BASE, Station
 from loopcal.mechanisms.structure.structured import driven_joints
+from loopcal.statistics.neighbours import WAYS, told
 from loopcal.statistics.replacing import CAMERAS, IN_PROPORTION
 
 # What machines can have; chosen, not derived, a few times what their makers and users report: a
 # joint that is mastered anew, a link that a crash bends, a tool that is exchanged, a print that was
-# fitted to another page, 50 K of warming at 24e-6 per kelvin. A load may do anything.
+# fitted to another page, 50 K of warming at 24e-6 per kelvin, half of the way to the next pose. A
+# load may do anything.
 _MOST = {
     "zero": 0.5,
     "angle": 0.05,
@@ -33,6 +37,7 @@ _MOST = {
     "scale": 0.1,
     "print": 0.1,
     "expansion": 1.2e-3,
+    "delay": 0.5,
 }
 """The largest change of a kind [SI]."""
 # What they usually have between two days; chosen, not derived: a joint that creeps or is mastered
@@ -259,7 +264,11 @@ def _mountings(problem: Problem) -> Iterator[Possible]:
     parameters, mounted = problem.mechanism.parameters, list(_mounted(problem))
     if tool := _tool(problem, mounted):
         yield tool
-    for names in mounted:
+    on_body = {n for names in mounted for n in names}
+    # Beside what is on the body, such as the zero of a wire.
+    rest = [tuple(n for n in f.mounted if n not in on_body) for f in problem.mechanism.families]
+    aside = [tuple(n for n in names if n in problem.names) for names in dict.fromkeys(rest)]
+    for names in [*mounted, *filter(None, aside)]:
         owners = {parameters[n].owner for n in names} if len(names) > 1 else set()
         label = next(iter(owners)) if len(owners) == 1 else ""
         yield Possible("mounting", names, label=label)
@@ -407,6 +416,19 @@ def _warming(problem: Problem) -> Iterator[Possible]:
         yield replace(one, steps=False)
 
 
+def _warming_slides(problem: Problem) -> Iterator[Possible]:
+    """The same where the calibration is held, with what slides read: the way of an axis grows."""
+    for one in _expansion(problem):
+        yield replace(one, steps=False)
+
+
+def _delays(problem: Problem) -> Iterator[Possible]:
+    """Poses that are read, or measured, on the way to the next one or from the last one."""
+    if joint_rows(problem) and not told(problem):
+        for name in WAYS:
+            yield Possible("delay", (name,), units=("1",))
+
+
 def _links(problem: Problem) -> Iterator[Possible]:
     """What a crash bends: all dimensions of a link at once, which it never does all along a run."""
     by_link: dict[str, list[str]] = {}
@@ -420,7 +442,8 @@ def _links(problem: Problem) -> Iterator[Possible]:
 ALONG_A_RUN: tuple[Cause, ...] = (
     *(_targets, _stations, _focus, _joints, _readings, _loads, _links, _warming),
 )
+ALONG_A_DAY: tuple[Cause, ...] = (*ALONG_A_RUN[:-1], _warming_slides)
 BETWEEN_DAYS: tuple[Cause, ...] = (
-    *(_zeros, _mountings, _cameras, _loads, _dimensions, _expansion),
+    *(_zeros, _mountings, _cameras, _loads, _dimensions, _expansion, _delays),
 )
 """Of changes that do the same the first speaks: zeros of joints, then mountings."""

@@ -246,16 +246,21 @@ def _in_view(
     """(N,) the poses of a region that put a whole board where a camera sees it.
 
     readings (k, M): with the pixels at the poses of the fit, in the order of names; outputs (o, N):
-    with those of the region. A camera sees as far as corners reach, and this share of it farther on
-    each side.
+    with those of the region. A camera sees as far as corners reach, across, down and from their
+    middle, and this share of it farther on each side.
     """
-    inside = np.ones(outputs.shape[1], dtype=bool)
+    u, v = (readings[[names.index(q) for q in group.outputs[axis::2]]] for axis in (0, 1))
+    ends = [(np.nanmin(read), np.nanmax(read)) for read in (u, v)]
+    middle = [0.5 * (low + high) for low, high in ends]
+    half = [0.5 * (high - low) for low, high in ends]
+    off = [outputs[list(group.rows[axis::2])] - middle[axis] for axis in (0, 1)]
+    # Lenses bend by the radius: in the corners of an image none may have been seen.
+    farthest = np.nanmax(np.hypot(u - middle[0], v - middle[1]))
+    reach = 1.0 + 2.0 * beyond
+    inside = np.hypot(*off) <= reach * farthest
     for axis in (0, 1):
-        seen = readings[[names.index(q) for q in group.outputs[axis::2]]]
-        low, high = np.nanmin(seen), np.nanmax(seen)
-        off = outputs[list(group.rows[axis::2])] - 0.5 * (low + high)
-        inside &= (np.abs(off) <= (0.5 + beyond) * (high - low)).all(axis=0)
-    return inside
+        inside &= np.abs(off[axis]) <= reach * half[axis]
+    return np.asarray(inside.all(axis=0))
 
 
 def _before(mechanism: Mechanism, group: OutputGroup, x: Array) -> NDArray[np.bool_]:
@@ -268,7 +273,7 @@ def _before(mechanism: Mechanism, group: OutputGroup, x: Array) -> NDArray[np.bo
 def ranges_of(
     mechanism: Mechanism, readings: Mapping[str, Array], stated: Mapping[str, Span]
 ) -> list[RegionRange]:
-    """The box of the working region; readings: (N,) [SI] of what drives the machine."""
+    """The box of the working region; readings: (N,) [SI] of what drives the machine, NaN: none."""
     limits = joint_limits(mechanism)
     turning = {q for q, unit in mechanism.joints.items() if unit == "rad"}
     ranges = []
@@ -278,7 +283,7 @@ def ranges_of(
         elif q in limits:
             ranges.append(RegionRange(q, limits[q].low, limits[q].high, "limits"))
         else:
-            low, high = float(row.min()), float(row.max())
+            low, high = float(np.nanmin(row)), float(np.nanmax(row))
             if q in turning:
                 middle = 0.5 * (low + high)
                 low, high = min(low, middle - _QUARTER), max(high, middle + _QUARTER)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.errors import InputError, NoTrustworthyResult, listed
+from loopcal.estimation.dependence.dependence import joint_rows
 from loopcal.estimation.noise.linear_model import linear_model
 from loopcal.estimation.prediction import output_differences
 from loopcal.estimation.problem.alignment import placed
@@ -28,6 +29,7 @@ from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.lazy import cached_property
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.calibrated import ResidualVariance
+from loopcal.statistics.neighbours import WAYS, ways
 from loopcal.statistics.predictive import unmeasured_corrections
 
 CAMERAS = "cameras"
@@ -181,19 +183,23 @@ class Replaced:
         return output_differences(self.problem, self.parameters, self.corrections)
 
     def columns(self, names: Sequence[str]) -> Array:
-        """(R, m) how the whitened equations change with parameters, zeros of readings and readings
-        `IN_PROPORTION`.
+        """(R, m) how the whitened equations change with parameters, zeros of readings, readings
+        `IN_PROPORTION` and delays (`WAYS`).
 
         A zero is what a true value exceeds its reading by; its column has the sign of those of J.
         """
         mechanism = self.problem.mechanism
         order, parameters = mechanism.tape.quantities, mechanism.parameters.names
         stems = [name.removesuffix(IN_PROPORTION) for name in names]
-        read = list(dict.fromkeys(stem for stem in stems if stem in order))
+        joints = [order[i] for i in joint_rows(self.problem)] if {*names} & {*WAYS} else []
+        read = list(dict.fromkeys([*(stem for stem in stems if stem in order), *joints]))
         zeros = dict(zip(read, self._zero_columns([order.index(q) for q in read]).T, strict=True))
         columns = []
         for name, stem in zip(names, stems, strict=True):
-            if stem not in zeros:
+            if name in WAYS:
+                way = ways(self.problem, WAYS[name])[self.row_poses]
+                columns.append(sum(zeros[q] * way[:, i] for i, q in enumerate(joints)))
+            elif stem not in zeros:
                 columns.append(self.J[:, parameters.index(name)])
             elif name == stem:
                 columns.append(zeros[stem])

@@ -60,6 +60,13 @@ def told_by_joints(joints: Array) -> float | None:
     return None
 
 
+def tells_order(joints: Array) -> bool:
+    """Whether joints (N, n) tell the order of the poses: by their products where poses are enough,
+    and by themselves, of few poses too."""
+    told = told_by_joints(joints) is not None
+    return told or order_by_joints(joints, products=False) >= FOLLOWED
+
+
 def path_cosines(joints: Array) -> int:
     """How many slow cosines over the run describe the squares of the joints (N, n), in order: the
     errors of a machine along this path are as fast. 0 where the joints follow no path."""

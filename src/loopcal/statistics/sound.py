@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from loopcal.document.accuracy import Coverage
 from loopcal.document.change_points import ChangePoint, hold, when
 from loopcal.document.choice import DECISIVE, TermEntry
-from loopcal.document.findings import ConflictEntry, HalvesEntry
+from loopcal.document.findings import ConflictEntry, HalvesEntry, ScaleEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Fact, Figure, Where, fact
 from loopcal.mechanisms.effects.effect import RUN_DRIFTS, STATION_SCALES
@@ -248,19 +248,23 @@ def _unsettled(document: ResultDocument) -> Fact | None:
 
 
 def _scales(document: ResultDocument) -> Fact | None:
-    """Of stations beside the first, or of what measures beside the drawing."""
+    """Of stations beside the first, or of what measures beside the drawing; or a zero of distances
+    that explains more."""
     entries = document.scales or ()
     # They share the level (Bonferroni).
     sure = [one for one in entries if one.p_value * len(entries) < RARE]
     if not sure:
         return None
+    likeliest = min(sure, key=lambda one: one.p_value)
+    if likeliest.unit == "m" and not _little(document, likeliest):
+        return _range_zero(likeliest)
+    sure = [one for one in sure if one.unit == "1"]
+    if not sure:
+        return None
     worst = min(sure, key=lambda one: (not one.instruments, one.p_value))
     numbers = {"ppm": Figure(1e6 * worst.size), "sd": Figure(1e6 * worst.sd)}
     numbers["moves"] = Figure(worst.moves, "m")
-    region = document.region
-    stated = None if region is None else region.of("m")
-    sd = 0.0 if stated is None else stated.sd_at_poses or 0.0
-    little = worst.moves < SMALL * sd
+    little = _little(document, worst)
     modelled = any(term.name == STATION_SCALES for term in document.terms)
     code, other = "scales-modelled" if modelled else "scales-unlike", "the first station"
     subject = ", ".join(map(repr, worst.instruments))
@@ -269,6 +273,23 @@ def _scales(document: ResultDocument) -> Fact | None:
     return fact(
         "scale-little-off" if little else code, numbers=numbers, subject=subject, other=other
     )
+
+
+def _little(document: ResultDocument, one: ScaleEntry) -> bool:
+    """Whether it moves the points by less than predictions are uncertain there."""
+    stated = None if document.region is None else document.region.of("m")
+    return one.moves < SMALL * (0.0 if stated is None else stated.sd_at_poses or 0.0)
+
+
+def _range_zero(one: ScaleEntry) -> Fact:
+    numbers = {
+        "zero": Figure(abs(one.size), "m"),
+        "sd": Figure(one.sd or 0.0, "m"),
+        "moves": Figure(one.moves, "m"),
+    }
+    subject = ", ".join(map(repr, one.instruments))
+    which = "long" if one.size > 0.0 else "short"
+    return fact("range-zero", numbers=numbers, subject=subject, which=which)
 
 
 def _conflict(document: ResultDocument) -> Fact | None:
@@ -319,16 +340,8 @@ def _delayed(document: ResultDocument) -> Fact | None:
     one = document.delay
     if one is None or one.p_value >= RARE:
         return None
-    share = f"{significant(100.0 * abs(one.share), 2)} % of the way"
-    return fact(
-        "poses-delayed",
-        numbers={"share": one.share, "sd": one.sd},
-        spread=significant(100.0 * one.sd, 2),
-        whose="machine's" if one.share > 0.0 else "instrument's",
-        moment=f"after each pose is left: {share} to the next one is done"
-        if one.ahead
-        else f"before each pose is reached: {share} from the last one is left",
-    )
+    numbers, spread = {"share": one.share, "sd": one.sd}, significant(100.0 * one.sd, 2)
+    return fact("poses-delayed", numbers=numbers, delay=f"T{one.words()[1:]}", spread=spread)
 
 
 def _contradict(document: ResultDocument) -> Fact | None:

@@ -102,10 +102,16 @@ def _cameras_alone(document: ResultDocument) -> bool:
 
 
 def _with_images(one: Finding, images: str) -> Finding:
+    if one.code == "model-incomplete" and images == _MORE_OF_A_HAND:
+        return replace(one, next=NextStep(_JOINTS))
     planned = one.next and (one.next.command or "").startswith("loopcal plan")
     return replace(one, next=NextStep(images)) if planned else one
 
 
+_JOINTS = (
+    "State the joints in place of the poses, and the robot (--dh or --urdf): its poses err as its "
+    "geometry does, which is then estimated too."
+)
 _MORE_OF_A_HAND = (
     "Take more images, in random order, with the hand turned by 30 deg about two axes, at several "
     "distances and in all parts of the image."
@@ -157,7 +163,13 @@ _ELSEWHERE = 1.5
 """Errors in regions of the image not used over those of images not used, from which the lens is not
 known where no corner was. Chosen: as much again as the corners' noise."""
 _DRAWN = "the nominal machine"
-_BEYOND = ("scales-unlike", "scale-off-the-drawing", "overfitted", "observations-conflict")
+_BEYOND = (
+    "scales-unlike",
+    "scale-off-the-drawing",
+    "range-zero",
+    "overfitted",
+    "observations-conflict",
+)
 """Facts that leave a fit usable with care, but move predictions by more than half their sd."""
 
 

@@ -72,12 +72,12 @@ class Verification:
     machine; changes: of single parameters and zeros of joints, None without redundancy; placed:
     what was found anew; worst: poses, outliers ahead, the farthest first; quantile: the distance
     that 95 % of all poses keep; unplaced: why the nominal machine cannot be placed, None where it
-    can; faults: of the file; shifts: what moved along the run; outliers: poses that do not fit
-    the others; rare: probability of an rms at least so large, if the stated covariance holds;
-    copied: rows that copy others; repeated: poses of the calibration itself; unlike: a sentence for
-    each temperature or load outside the range of the calibration; read_as: how other columns than
-    those of the first day were read; sound: the answer of the calibration's own verdict, None where
-    it was not judged; files: names of result and readings, for command lines.
+    can; faults: of the file; shifts: what moved along the run; outliers: poses
+    that do not fit the others; rare: probability of an rms at least so large, if the stated
+    covariance holds; copied: rows that copy others; repeated: poses of the calibration itself;
+    unlike: a sentence for each temperature or load outside the range of the calibration; read_as:
+    how other columns than those of the first day were read; sound: the answer of the calibration's
+    own verdict, None where it was not judged; files: names of result and readings, for commands.
     """
 
     __repr__ = brief

@@ -11,7 +11,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from loopcal.estimation.cameras.corners import Corners
+from loopcal.estimation.cameras.images import explained
 from loopcal.estimation.cameras.orders import on_other_squares
+from loopcal.estimation.cameras.placing import Reading
+from loopcal.estimation.cameras.scene import Adjusted, Scene
 from loopcal.estimation.cameras.start import start
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
@@ -90,6 +93,24 @@ def test_points_numbered_in_another_way(words: str) -> None:
     np.testing.assert_allclose(begun.X[0], true.X, atol=4e-3)
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_few_corners_are_numbered_as_they_are(seed: int) -> None:
+    """Of three columns that are displaced by one, two of three rows fit a plane always."""
+    true = shots(seed, images=14)
+    few = np.array([_of_nine(int(k)) for k in true.corners.point])
+    points = {k: p for k, p in grid_board().points.items() if _of_nine(int(k))}
+    label = {int(k): i for i, k in enumerate(points)}
+    corners = true.corners.where(few)
+    corners = corners.numbered(np.array([label[int(k)] for k in corners.point]))
+    board = Board("board", {str(i): p for i, p in enumerate(points.values())})
+    begun = true.start(corners=replace(corners, boards=(board,)))
+    assert [fact.code for fact in begun.facts if fact.applied] == []
+
+
+def _of_nine(k: int) -> bool:
+    return k % COLUMNS < 3 and k // COLUMNS < 3
+
+
 def test_board_in_millimetres() -> None:
     true = shots(31)
     points = {k: (1e3 * x, 1e3 * y, z) for k, (x, y, z) in true.corners.boards[0].points.items()}
@@ -114,6 +135,26 @@ def test_intrinsics_of_an_image_on_its_side() -> None:
     begun = true.start(intrinsics={"cam": turned})
     assert [fact.code for fact in begun.facts if fact.applied] == ["intrinsics-turned"]
     assert begun.intrinsics_stated["cam"].cx == pytest.approx(lens.cx, abs=60.0)
+
+
+def test_an_image_is_off_where_it_is_in_pixels_and_in_lengths() -> None:
+    """An error of the hand's place is larger in pixels where the board is near."""
+    true = shots(5, images=12)
+    lenses = (true.intrinsics["cam"],)
+    scene = Scene(lenses, true.X[None], true.Y[None], A=true.T)
+    views = true.corners.views
+    z = views.medians(np.linalg.norm(scene.in_camera(true.corners), axis=1))
+    near = int(np.argmin(z))
+    reading = Reading(true.corners, true.T, lenses)
+
+    def named(px: float) -> list[str]:
+        r = np.where(views.of_corner == near, px, 1.0)[:, None] * [1.0, 0.0]
+        return [one.code for one in explained(reading, Adjusted(scene, r, {})).facts]
+
+    middle = np.median(z) / z[near]
+    assert middle > 1.1
+    assert named(4.9 * middle) == []
+    assert named(5.1 * middle) == ["image-unexplained"]
 
 
 def test_one_image_in_another_order() -> None:

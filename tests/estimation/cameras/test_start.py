@@ -8,10 +8,10 @@ from scipy.spatial.transform import Rotation
 
 from loopcal.errors import InputError
 from loopcal.estimation.cameras.corners import Corners
-from loopcal.estimation.cameras.start import start
+from loopcal.estimation.cameras.start import EVERY, start
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
-from tests.estimation.cameras.truth import motion, pixel, shots
+from tests.estimation.cameras.truth import COLUMNS, motion, pixel, shots
 
 
 @pytest.mark.parametrize(("held", "stated"), [(True, False), (False, True)])
@@ -137,3 +137,13 @@ def test_two_cameras_agree_on_the_pose_that_few_markers_leave_open(seed: int) ->
     assert begun.rms < 0.57
     # One in sixteen: that far a lens of a narrow field is from what it is stated to be.
     assert begun.intrinsics["left"].fx == pytest.approx(8000.0, rel=0.06)
+
+
+def test_a_view_that_loses_its_pose_with_another_lens_is_left_out() -> None:
+    true = shots(127, images=12, noise=0.4)
+    k = true.corners.point
+    few = (k % COLUMNS < 3) & (k // COLUMNS < 3)
+    few &= np.random.default_rng(127).random(len(k)) < 0.75
+    begun = start(true.corners.where(few), None, None, true.sizes, free=EVERY)
+    assert 8 <= len(begun.corners.views) < 12
+    assert begun.rms < 1.0

@@ -14,6 +14,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import loopcal as lc
+from loopcal.estimation.faults.search import column_faults
+from loopcal.estimation.problem.problem import build_problem
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.recognition import meanings
 from loopcal.files.recognition.fields import Field
@@ -337,6 +339,52 @@ def test_joints_that_count_the_other_way_round_are_named(
     path = dh(tmp_path)
     with refused("implausible-readings", *names, "other way round"):
         lc.init(columns, dh=path)
+
+
+@pytest.mark.parametrize(
+    ("counted", "stated"),
+    [
+        ({"J3": (1, 90), "J5": (1, 90)}, "J1,J2,J3-90,J4,J5-90,J6"),
+        ({"J2": (1, -90), "J3": (1, -90)}, "J1,J2+90,J3+90,J4,J5,J6"),
+    ],
+)
+def test_joints_that_count_from_other_zeros_are_named_together(
+    tmp_path: Path, arm: Any, counted: dict[str, tuple[int, int]], stated: str
+) -> None:
+    """The second leaves as much as before while only one of the two joints is right."""
+    joints, points = arm
+    columns = {**of(np.degrees(joints), NAMES), **of(points, "xyz")}
+    for name, (sign, zero) in counted.items():
+        columns[name] = sign * columns[name] + zero
+    path = dh(tmp_path)
+    with refused("implausible-readings", " and ".join(counted), "other zeros") as caught:
+        lc.init(columns, dh=path)
+    assert caught.value.options == ("--joints", stated)
+    assert lc.init(columns, dh=path, joints=stated).rms < 5e-3
+
+
+@pytest.mark.parametrize("sensor", ["points", "joints"])
+def test_readings_that_were_not_read_again_are_named(tmp_path: Path, arm: Any, sensor: str) -> None:
+    """Both in turn may stand still: a pose measured twice, a target on the axis that turns."""
+    joints, points = (values[:40].copy() for values in arm)
+    joints[21], points[21] = joints[20], points[20] + NOISE
+    joints[25], points[25] = joints[24] + [0, 0, 0, 0, 0, 1e-3], points[24]
+    log = {"joints": joints, "points": points}[sensor]
+    log[[7, 12, 31]] = log[[6, 11, 30]]
+    columns = {**of(joints, NAMES), **of(points, "xyz")}
+    with refused("implausible-readings", "3 of 40", "not read again") as caught:
+        lc.init(columns, dh=dh(tmp_path))
+    assert caught.value.options == ("--exclude", "8,13,32")
+
+
+def test_gaps_of_a_joint_are_no_fault_of_the_file(tmp_path: Path, arm: Any) -> None:
+    """A joint missing in a few poses, and coordinates in others."""
+    joints, points = (values[:60].copy() for values in arm)
+    joints[50:55, 3], points[5:20, 0], points[30:42] = np.nan, np.nan, np.nan
+    made = lc.init({**of(joints, NAMES), **of(points, "xyz")}, dh=dh(tmp_path))
+    assert made.rms < 5e-3
+    problem = build_problem(made.mechanism, made.dataset, made.noise)
+    assert not column_faults(problem)
 
 
 def test_a_direction_in_the_table_of_the_robot_turns_a_joint_round(

@@ -71,6 +71,7 @@ from loopcal.statistics.verified import Verification
 
 _MIXED = "The update mixes both machines. Calibrate anew, or state the drift that is expected."
 _WITHIN = "Update with the poses before that change alone, or those after it, or measure again."
+_ON_THE_WAY = "Update with poses that are read while the machine stands."
 _TWICE = (
     "{poses} of these poses are those of the calibration itself and count twice: the stated sds "
     "are too small. Update with other poses."
@@ -94,6 +95,7 @@ class Updated:
         """Why the update mixes two machines; None where it does not."""
         answer = self.check.verdict["consistent"]
         remedy = _WITHIN if self.check.shifts.found else _MIXED
+        remedy = _ON_THE_WAY if answer.code == "poses-delayed" else remedy
         return f"{answer.words} {remedy}" if answer.passed is False else None
 
 

@@ -48,10 +48,11 @@ class Views:
         padded = blocks.reshape(len(self), -1, m)
         return np.asarray(np.swapaxes(padded, 1, 2) @ padded)
 
-    def medians(self, values: Array) -> Array:
-        """(V,) upper medians over the corners (N,) of each view."""
+    def medians(self, values: Array, beyond: int = 0) -> Array:
+        """(V,) upper medians over the corners (N,) of each view, without its `beyond` least."""
         ranked = values[np.lexsort((values, self.of_corner))]
-        return np.asarray(ranked[self.first + self.sizes // 2])
+        middle = np.minimum((self.sizes + beyond) // 2, self.sizes - 1)
+        return np.asarray(ranked[self.first + middle])
 
 
 @dataclass(frozen=True)

@@ -34,15 +34,19 @@ class Explained:
 def explained(reading: Reading, result: Adjusted) -> Explained:
     """Each image that does not fit, tried in other orders and beside other poses."""
     corners, views = reading.corners, reading.corners.views
-    medians = views.medians(result.distance)
-    typical = max(float(np.median(medians)), 1e-6)
     scene, facts = result.scene, []
+    # Errors of the hand's place are larger in px where the board is near, those of its turns in mm
+    # where it is far: what does not fit is off in both.
+    away = np.linalg.norm(scene.in_camera(corners), axis=1)
+    px, mm = (views.medians(d) for d in (result.distance, result.distance * away))
+    typical = max(float(np.median(px)), 1e-6)
+    off = (px > FAR * typical) & (mm > FAR * np.median(mm))
     orders: dict[int, list[str]] = {}
     rows: dict[int, int] = {}
     copies: dict[int, int] = {}
     wrong: list[int] = []
     new = corners
-    for v in np.flatnonzero(medians > FAR * typical):
+    for v in np.flatnonzero(off):
         one = corners.where(views.of_corner == v)
         name, ordered = _in_order(one, scene, NEAR * typical)
         image = int(views.image[v])

@@ -145,8 +145,9 @@ def image_misfit(reading: Reading) -> float:
 def plane_misfit(reading: Reading, poses: BoardPoses | None = None, limit: float = 0.0) -> float:
     """Median over the views of planes of what homographies leave [px], by degrees of freedom.
 
-    Of each view exp(mean log sqrt(r^2 + m^2)), m the median of the distances r: a seventh of the
-    corners far off doubles it, for numbers displaced by one are wrong at the ends of rows only.
+    Of each view exp(mean log sqrt(r^2 + m^2)), m the median of the distances r but the four least,
+    which fit always: a seventh of the corners far off doubles it, for numbers displaced by one are
+    wrong at the ends of rows only.
     """
     corners = reading.corners
     flat = np.array([board.planar for board in corners.boards])[corners.board]
@@ -156,9 +157,8 @@ def plane_misfit(reading: Reading, poses: BoardPoses | None = None, limit: float
     views, xy = corners.views, corners.xyz[:, :2]
     H, _ = homographies(views, xy, corners.uv)
     r = transfer_errors(views, H, xy, corners.uv)
-    floor = views.medians(r)[views.of_corner] + 1e-9
+    floor = views.medians(r, beyond=4)[views.of_corner] + 1e-9
     middle = np.exp(views.sums(0.5 * np.log(r**2 + floor**2)) / views.sizes)
-    # Four corners fit always.
     freedom = np.sqrt(np.maximum(1.0 - 4.0 / views.sizes, 0.0))
     rest = (middle / np.maximum(freedom, 1e-9))[(freedom > 0.0) & spread(views, xy)]
     return float(np.median(rest)) if rest.size else np.inf

@@ -114,15 +114,12 @@ def start(
             remedy="state more corners, or check image, board and point of each",
         )
     reading, facts, rough = best
-    if reading.A is None:
-        reading, _ = usable_part(reading, view_poses(reading))
-    result = _adjusted(reading, rough, free)
+    reading, result = _adjusted(reading, rough, free)
     after = explained(reading, result)
     if any(fact.applied for fact in after.facts):
-        reading = after.reading
-        again = _rough(reading, free)
+        again = _rough(after.reading, free)
         assert again is not None
-        result = _adjusted(reading, again, free)
+        reading, result = _adjusted(after.reading, again, free)
     facts += after.facts
     facts += _behind(reading, result)
     facts += motion_facts(reading, result.scene, stated=reading.stated)
@@ -211,7 +208,10 @@ def with_stated_lenses(begun: CameraStart) -> CameraStart:
     lenses = tuple(begun.intrinsics_stated[camera] for camera in begun.corners.cameras)
     held = begun.held is not False
     reading = Reading(begun.corners, begun.T_base_flange, lenses, held, True)
-    result = placed(reading, view_poses(reading), ())
+    poses = view_poses(reading)
+    if reading.A is None:
+        reading, poses = usable_part(reading, poses)
+    result = placed(reading, poses, ())
     return begun if result is None else _start_of(reading, result, begun.facts)
 
 
@@ -247,23 +247,27 @@ def _rough(reading: Reading, free: Sequence[str]) -> Adjusted | None:
     return placed(few, view_poses(few), _of_all(reading, free))
 
 
-def _adjusted(reading: Reading, rough: Adjusted, free: Sequence[str]) -> Adjusted:
+def _adjusted(reading: Reading, rough: Adjusted, free: Sequence[str]) -> tuple[Reading, Adjusted]:
     """All images, from the placement of a part of them; corners beyond 24 per view add little.
 
-    An image gives about six numbers, those of a pose, however many corners it has.
+    An image gives about six numbers, those of a pose, however many corners it has. Without a robot
+    the reading is left with the views that have a pose through the lenses of that placement.
     """
     free, few = _of_all(reading, free), reading.thinned(len(reading.corners.poses), PER_VIEW)
     if reading.A is not None:
         scene = replace(rough.scene, A=reading.A)
         result = adjusted(few.corners, scene, free, iterations=10)
     else:
-        adapted = replace(few, lenses=rough.scene.intrinsics)
-        rig = rough.scene.X
-        placement = placed(adapted, view_poses(adapted), free, iterations=8, rig=rig)
+        adapted, rig = replace(few, lenses=rough.scene.intrinsics), rough.scene.X
+        poses = view_poses(adapted)
+        seen = poses.usable[reading.corners.views.of_corner]
+        reading = replace(reading, corners=reading.corners.where(seen))
+        few, poses = usable_part(adapted, poses)
+        placement = placed(few, poses, free, iterations=8, rig=rig)
         assert placement is not None
         result = placement
     result = adjusted(few.corners, result.scene, free, iterations=15, loss=REDESCENDING)
-    return Adjusted(result.scene, result.scene.residuals(reading.corners), result.sds)
+    return reading, Adjusted(result.scene, result.scene.residuals(reading.corners), result.sds)
 
 
 def _of_all(reading: Reading, free: Sequence[str]) -> Sequence[str]:

@@ -126,6 +126,16 @@ def unread(problem: Problem) -> bool:
     return any(pattern.unmeasured for pattern in problem.patterns)
 
 
+def complete(problem: Problem) -> Problem:
+    """The poses in which all that moves the machine was read, where these are most of them: loops
+    that find what is missing take it from the readings that they are to judge."""
+    if not unread(problem):
+        return problem
+    some = [np.arange(problem.count)[p.poses] for p in problem.patterns if not p.unmeasured]
+    rows = np.sort(np.concatenate([np.array([], dtype=np.intp), *some]))
+    return taken(problem, rows) if len(rows) >= HALF * problem.count else problem
+
+
 _Find = Callable[[NDArray[np.intp] | None], Array]
 """Shares (N,) once the machine was placed by some of the poses; None: as it begins."""
 

@@ -25,6 +25,7 @@ from loopcal.estimation.faults.misfit import (
     HALF,
     STAYS,
     beside,
+    complete,
     fit_of_all,
     left_in,
     misfit,
@@ -93,7 +94,7 @@ def column_faults(
     are only sought where the machine as drawn misses the readings by more than a drawing and their
     noise may; stated: the sds say what that is, because none of them is learnt.
     """
-    file = _File(problem, stated)
+    file = _File(complete(problem), stated)
     if any(f.form == PIXELS for f in problem.mechanism.families):
         return ()  # faults of images are those of single ones, or were found with their start
     if not (suspected or file.suspicious) or file.blind:
@@ -114,7 +115,7 @@ def column_faults(
 
 def suspicious(problem: Problem, *, stated: bool = True) -> bool:
     """Whether `column_faults` would seek any where nothing but the drawing speaks for a fault."""
-    return _File(problem, stated).suspicious
+    return _File(complete(problem), stated).suspicious
 
 
 @dataclass(frozen=True, eq=False)

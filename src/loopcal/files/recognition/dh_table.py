@@ -14,6 +14,7 @@ import numpy as np
 from loopcal.errors import InputError
 from loopcal.files.recognition.framed import framed_table
 from loopcal.files.recognition.headers import Heading, heading, meanings, words
+from loopcal.files.recognition.robot_calls import called_robot
 from loopcal.files.recognition.robot_lists import listed_robot, without_robot
 from loopcal.files.recognition.turned_over import turned_over
 from loopcal.files.tables.cells import is_missing
@@ -73,8 +74,9 @@ class DhTable:
 
 
 def is_dh(path: str | Path) -> bool:
-    """Whether a text file or workbook is a table of Denavit-Hartenberg parameters."""
-    if without_robot(path)[0].suffix.lower() not in (".csv", ".tsv", ".txt", ".xlsx"):
+    """Whether a text file or workbook is a table of Denavit-Hartenberg parameters, or a program."""
+    suffix = without_robot(path)[0].suffix.lower()
+    if suffix not in (".csv", ".tsv", ".txt", ".xlsx", ".m", ".py"):
         return False
     try:
         return read_dh(path).moving > 0
@@ -88,9 +90,15 @@ def read_dh(path: str | Path) -> DhTable:
     Raises InputError for a missing column, a row that is no joint, and units that nothing shows.
     """
     path, robot = without_robot(path)
-    table, passed = listed_robot(path, robot) or (
-        turned_over(framed_table(path, None, len(_LENGTHS_AND_TWIST))[0], _names_lengths)[0],
-        (),
+    called = called_robot(path)
+    table, passed = (
+        (called, ())
+        if called
+        else listed_robot(path, robot)
+        or (
+            turned_over(framed_table(path, None, len(_LENGTHS_AND_TWIST))[0], _names_lengths)[0],
+            (),
+        )
     )
     if not table.names:
         raise InputError(

@@ -57,6 +57,7 @@ from loopcal.workflow.beginning.delays import Delay, delays
 from loopcal.workflow.beginning.from_images import FromImages, from_images, on_another_link
 from loopcal.workflow.beginning.from_samples import from_samples, samples_of
 from loopcal.workflow.beginning.from_tree import dh_table, from_tree, urdf_table
+from loopcal.workflow.beginning.held import held_readings
 from loopcal.workflow.beginning.images_project import CORNERS
 from loopcal.workflow.beginning.misfits import left_out
 from loopcal.workflow.beginning.ratios import misstated
@@ -302,6 +303,8 @@ def initial_project(
         one = _readable(one.robot, fields, columns, folder)
         one = replace(one, conditions=encoders.stated(one.conditions, one.machine))
     made, machine, fields, conditions = one.robot, one.machine, one.fields, one.conditions
+    if one.ways and (held := held_readings(one.ways[0], fields.poses)):
+        raise held
     way = understood(machine, one.layouts, fields, ask, one.ways)
     if not robot.joints and (wrong := misstated(machine, way)):
         raise wrong

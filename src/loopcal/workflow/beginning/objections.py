@@ -1,47 +1,48 @@
-"""Why the nominal machine does not fit the readings: what would explain them, and what to do.
-
-What a joint counts is tried on it alone: its sign, its zero, both, and what it shares with another
-joint. The option --joints then states the columns as they have to be read.
-"""
+"""Why the nominal machine does not fit the readings: what would explain them, and what to do."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import chain, combinations, islice, pairwise, product
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import chain, combinations, islice, product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.arrays import Array
-from loopcal.errors import Code, InputError
 from loopcal.files.recognition.fields import Field, names_of
 from loopcal.files.recognition.joins import Fields
-from loopcal.files.recognition.layouts import FEWEST, Layout, Seen
+from loopcal.files.recognition.layouts import FEWEST, Seen
 from loopcal.files.recognition.meanings import LENGTHS, Meaning
 from loopcal.files.recognition.shots import MOST_TARGETS
-from loopcal.presentation.shown import significant, with_unit
-from loopcal.units import from_si, unit
+from loopcal.presentation.shown import with_unit
+from loopcal.units import unit
+from loopcal.workflow.beginning.counting import (
+    SURE,
+    Case,
+    Explanation,
+    coupled,
+    displaced_zeros,
+    exchanged,
+    percent,
+    several,
+    signed,
+    turned_round,
+)
 from loopcal.workflow.beginning.counts import reads_counts
 from loopcal.workflow.beginning.searching import (
     CLEARLY,
     NOTHING,
     PLAUSIBLE,
-    Counting,
-    Machine,
     Understood,
     as_large,
     every_way,
 )
 from loopcal.workflow.beginning.shuffled import reordered
 
-SURE = 0.01
-"""An explanation that leaves less needs no rivals."""
 ONE_POSE = 5e-3
 """A body that moves less than this [m] stands in one pose."""
-_LIKELIEST = 4
-"""Ways to read the columns that are tried with joints counted in another way."""
 _BRACKETS = re.compile(r"(?P<name>[^\[(]+)[\[(](?P<unit>[^\])]+)[\])]")
 _MIRROR = np.array([-1.0, 1.0, 1.0])
 _SHIFTS = (1, -1, 2, -2, 3, -3)
@@ -55,38 +56,6 @@ _GAPS = 3
 # Twelve points are 36 equations for the nine numbers of station and target.
 _BLOCK, _TOGETHER = 12, 0.05
 """So many consecutive poses are fitted alone; they then belong together if they leave this."""
-
-
-@dataclass(frozen=True, eq=False)
-class Case:
-    """What was read, and every way that was tried to understand it, the best first."""
-
-    machine: Machine
-    layouts: Sequence[Layout]
-    fields: Fields
-    ways: Sequence[Understood]
-
-    @property
-    def share(self) -> float:
-        """The misfit of the best."""
-        return self.ways[0].share if self.ways else float("inf")
-
-
-@dataclass(frozen=True)
-class Explanation:
-    """What would explain the readings, with the misfit that it leaves."""
-
-    share: float
-    code: Code
-    words: str
-    remedy: str
-    options: tuple[str, ...] = ()
-    follows: str = ""
-
-    def error(self) -> InputError:
-        """As the refusal that it is."""
-        error = InputError(self.words, code=self.code, remedy=self.remedy)
-        return error.offering(*self.options).then(self.follows)
 
 
 def contradiction(case: Case) -> Explanation | None:
@@ -106,7 +75,7 @@ def contradiction(case: Case) -> Explanation | None:
         free[0].share,
         "wrong-unit",
         f"the units in the headers contradict the readings: the nominal machine fits with "
-        f"{other}, and misses them by {_percent(stated)} of their spread as stated",
+        f"{other}, and misses them by {percent(stated)} of their spread as stated",
         "correct the unit in the header, or state --infer-units, which takes none from headers",
         ("--infer-units",),
     )
@@ -124,12 +93,13 @@ def objection(case: Case) -> Explanation | None:
         _rows_in_other_units(case),
         _moved_too(case),
         _coordinates(case),
-        _reversed(case, 1),
-        _displaced_zeros(case, 1),
-        _exchanged(case),
-        _reversed(case, 2),
-        _displaced_zeros(case, -1),
-        _coupled(case),
+        turned_round(case, 1),
+        displaced_zeros(case, 1),
+        exchanged(case),
+        turned_round(case, 2),
+        displaced_zeros(case, -1),
+        coupled(case),
+        several(case),
         _shuffled(case),
     )
     for explained in chain.from_iterable(tried):
@@ -181,8 +151,8 @@ def _displaced(case: Case, way: Understood, meaning: Meaning) -> Iterator[Explan
             joined, remedy = _joined_by(case.fields)
             words = (
                 f"the readings of the instrument stand {abs(shift)} row{plural} too {where} "
-                f"beside those of the joints, {joined} (misfit {_percent(whole)} of the spread as "
-                f"they stand, {_percent(share)} if moved)"
+                f"beside those of the joints, {joined} (misfit {percent(whole)} of the spread as "
+                f"they stand, {percent(share)} if moved)"
             )
             yield Explanation(share, "mismatched-poses", words, remedy)
 
@@ -215,8 +185,8 @@ def _coordinates(case: Case) -> Iterator[Explanation]:
                     share,
                     "implausible-readings",
                     f"{names_of(fields)} form a left-handed frame: mirrored, the nominal machine "
-                    f"misses the readings by {_percent(share)} of their spread, as read by "
-                    f"{_percent(way.share)}",
+                    f"misses the readings by {percent(share)} of their spread, as read by "
+                    f"{percent(way.share)}",
                     "two of the columns are exchanged, or one has the wrong sign: correct it",
                 )
             for axis, field in enumerate(fields):
@@ -229,7 +199,7 @@ def _coordinates(case: Case) -> Iterator[Explanation]:
                         "wrong-unit",
                         f"{field.label} is in {other}, and the other coordinates are in "
                         f"{meaning.length}: so the nominal machine misses the readings by "
-                        f"{_percent(share)} of their spread",
+                        f"{percent(share)} of their spread",
                         "convert the column, or state the unit of each in its header",
                     )
 
@@ -250,7 +220,7 @@ def _rows_in_other_units(case: Case) -> Iterator[Explanation]:
                     "wrong-unit",
                     f"{_which(rows)} of {names} {_written(other)}, and the others "
                     f"{_written(meaning.length)}: so the nominal machine misses the readings by "
-                    f"{_percent(share)} of their spread, as read by {_percent(way.share)}",
+                    f"{percent(share)} of their spread, as read by {percent(way.share)}",
                     "convert these rows",
                 )
 
@@ -300,15 +270,15 @@ def _mirrored(case: Case, way: Understood) -> Explanation | None:
         fits = (m.fitted(bodies, few, 2).share for m in points)
         if all(fit < CLEARLY * mirror for fit, mirror in zip(fits, shares, strict=True)):
             pairs = zip(joints, way.layout.joints, strict=True)
-            columns = [_signed(f.label, -1 if n in names else 1) for n, f in pairs]
+            columns = [signed(f.label, -1 if n in names else 1) for n, f in pairs]
             count = "counts" if len(names) == 1 else "count"
             frames = " and ".join(names_of(m.seen.position) for m in points)
             return Explanation(
                 share,
                 "implausible-readings",
                 f"{', '.join(names)} {count} the other way round, or {frames} have a left-handed "
-                f"frame: so the nominal machine misses the readings by {_percent(share)} of their "
-                f"spread, as read by {_percent(way.share)}",
+                f"frame: so the nominal machine misses the readings by {percent(share)} of their "
+                f"spread, as read by {percent(way.share)}",
                 "state --joints, or correct the frame: two columns are exchanged, or one has the "
                 "wrong sign",
                 ("--joints", ",".join(columns)),
@@ -336,40 +306,6 @@ def _as_point(meaning: Meaning) -> Seen:
     return replace(meaning.seen, kind="point", turned=())
 
 
-def _reversed(case: Case, count: int) -> Iterator[Explanation]:
-    """So many joints that count the other way round."""
-    for names in combinations(case.machine.joints, count):
-        share, options = _counted(case, dict.fromkeys(names, Counting(sign=-1)))
-        be = "counts" if count == 1 else "count"
-        yield Explanation(
-            share,
-            "implausible-readings",
-            f"{' and '.join(names)} {be} the other way round: with the sign reversed the nominal "
-            f"machine misses the readings by {_percent(share)} of their spread, as read by "
-            f"{_percent(case.share)}",
-            "write -1 for it in a column direction of the robot's table, or correct the sign in "
-            "the file, or state --joints",
-            options,
-        )
-
-
-def _exchanged(case: Case) -> Iterator[Explanation]:
-    """Two joints under each other's columns."""
-    joints = tuple(zip(case.machine.joints, case.machine.units, strict=True))
-    for (one, unit_of_one), (other, unit_of_other) in combinations(joints, 2):
-        if unit_of_one == unit_of_other:
-            share, options = _counted(case, {one: Counting(), other: Counting()}, (one, other))
-            yield Explanation(
-                share,
-                "implausible-readings",
-                f"the columns of {one} and {other} are exchanged: the other way round the nominal "
-                f"machine misses the readings by {_percent(share)} of their spread, as read by "
-                f"{_percent(case.share)}",
-                "state --joints, with the columns in the order of the machine",
-                options,
-            )
-
-
 def _shuffled(case: Case) -> Iterator[Explanation]:
     """Of every way to read the columns, the first whose points fit in another order."""
     for way in case.ways if case.share > NOTHING else ():
@@ -380,91 +316,12 @@ def _shuffled(case: Case) -> Iterator[Explanation]:
                     share,
                     "mismatched-poses",
                     "the points do not belong to the joints row by row: in another order the "
-                    f"nominal machine misses them by {_percent(share)} of their spread, as they "
-                    f"stand by {_percent(case.share)}",
+                    f"nominal machine misses them by {percent(share)} of their spread, as they "
+                    f"stand by {percent(case.share)}",
                     "give the joints and the points of a pose the same id, each in a file with a "
                     'column "pose", and run: loopcal init JOINTS.csv POINTS.csv',
                 )
                 return
-
-
-def _displaced_zeros(case: Case, sign: int) -> Iterator[Explanation]:
-    """One joint that counts from another zero, a right angle or two away; sign: -1 where it counts
-    the other way round too.
-
-    The zeros of the first and the last joint are those of the placement and the tool.
-    """
-    machine = case.machine
-    turning = [n for n, si in zip(machine.joints, machine.units, strict=True) if si == "rad"]
-    for name in turning[1:-1]:
-        for degrees in (90, -90, 180):
-            counting = Counting(sign, np.radians(degrees))
-            share, options = _counted(case, {name: counting})
-            other_way = "" if sign > 0 else " and the other way round"
-            yield Explanation(
-                share,
-                "implausible-readings",
-                f"{name} counts from another zero{other_way}: with {degrees:+d} deg the nominal "
-                f"machine misses the readings by {_percent(share)} of their spread, as read by "
-                f"{_percent(case.share)}",
-                f"add {degrees:+d} deg to its column, or to theta of this joint in the robot's "
-                "table, or state --joints",
-                options,
-            )
-
-
-def _coupled(case: Case) -> Iterator[Explanation]:
-    """One joint whose reading holds that of a neighbour too, as where the forearm keeps its angle
-    to the floor while the upper arm moves."""
-    machine = case.machine
-    turning = [n for n, si in zip(machine.joints, machine.units, strict=True) if si == "rad"]
-    for name, other in [*pairwise(turning), *pairwise(turning[::-1])]:
-        for factor, words in ((1, "less"), (-1, "plus")):
-            share, options = _counted(case, {name: Counting(other=other, factor=factor)})
-            yield Explanation(
-                share,
-                "implausible-readings",
-                f"{name} is read {words} {other}: with both together the nominal machine misses "
-                f"the readings by {_percent(share)} of their spread, as read by "
-                f"{_percent(case.share)}",
-                "state --joints, with the joint as the sum of its columns",
-                options,
-            )
-
-
-def _counted(
-    case: Case, counting: Mapping[str, Counting], exchanged: Sequence[str] = ()
-) -> tuple[float, tuple[str, ...]]:
-    """The least misfit with joints counted in another way, and the option that states this.
-
-    exchanged: two joints under each other's columns.
-    """
-    layouts = list({id(way.layout): way.layout for way in case.ways[:_LIKELIEST]}.values())
-    if exchanged:
-        order = list(range(len(case.machine.joints)))
-        i, j = map(case.machine.joints.index, exchanged)
-        order[i], order[j] = j, i
-        layouts = [replace(one, joints=tuple(one.joints[k] for k in order)) for one in layouts]
-    ways = every_way(case.machine, layouts, counting=counting)
-    if not ways:
-        return float("inf"), ()
-    best = min(ways, key=lambda u: u.share)
-    label = dict(zip(case.machine.joints, (f.label for f in best.layout.joints), strict=True))
-    columns = []
-    for name, of in zip(case.machine.joints, best.units, strict=True):
-        one = counting.get(name, Counting())
-        text = _signed(label[name], one.sign)
-        if one.zero:
-            text += f"{from_si(one.zero, of):+.6g}"
-        if one.other:
-            text += f"{'+' if one.factor > 0 else '-'}{label[one.other]}"
-        columns.append(text)
-    return best.share, ("--joints", ",".join(columns))
-
-
-def _signed(label: str, sign: int) -> str:
-    """A column as --joints states it, which may be counted the other way round already."""
-    return label if sign > 0 else label[1:] if label.startswith("-") else f"-{label}"
 
 
 def _nothing(case: Case) -> Explanation:
@@ -505,7 +362,7 @@ def _nothing(case: Case) -> Explanation:
         best.share,
         "implausible-readings",
         "the nominal machine does not describe these readings: in the best of all units and orders "
-        f"it misses them by {_percent(best.share)} of their spread",
+        f"it misses them by {percent(best.share)} of their spread",
         remedy,
     )
 
@@ -580,7 +437,3 @@ def _together(way: Understood, meaning: Meaning, rows: NDArray[np.intp]) -> bool
 def _about_median(points: Array) -> Array:
     finite = points[np.isfinite(points).all(axis=1)]
     return finite - np.median(finite, axis=0)
-
-
-def _percent(share: float) -> str:
-    return f"{significant(100.0 * share, 2)} %"

@@ -54,7 +54,7 @@ def weakest(made: Check, dataset: Dataset) -> str:
     sds = [DRAWN.get(machine.parameters[name].dimension, 0.0) for name in predictor.names]
     drawing = replace(predictor, covariance=LearntCovariance.certain(np.diag(np.square(sds))))
     ranges = ranges_of(machine, {name: dataset[name] for name in machine.joints}, {})
-    constants = {name: float(np.median(dataset[name])) for name in machine.tape.pose_constants}
+    constants = {name: float(np.nanmedian(dataset[name])) for name in machine.tape.pose_constants}
     made_sds, drawn_sds = (sds_in(one, ranges, constants) for one in (predictor, drawing))
     both = zip(output_groups(machine), made_sds, drawn_sds, strict=True)
     worse = [(group, sd, drawn) for group, sd, drawn in both if sd > drawn]
@@ -62,7 +62,7 @@ def weakest(made: Check, dataset: Dataset) -> str:
         return ""
     group, sd, drawn = max(worse, key=lambda one: one[1] / one[2])
     size = with_unit(sd, group.unit, 2) if sd < 1.0 else "more than 1 m"
-    still = [r for r in ranges if np.ptp(dataset[r.quantity]) < _MUCH * (r.high - r.low)]
+    still = [r for r in ranges if _moved(dataset, r.quantity) < _MUCH * (r.high - r.low)]
     turned = ", ".join(_span(r, machine.quantities[r.quantity]) for r in still or ranges)
     needed = math.ceil(FEW * len(predictor.names) / max(len(group.outputs), 1))
     return (
@@ -71,6 +71,10 @@ def weakest(made: Check, dataset: Dataset) -> str:
         f"{with_unit(drawn, group.unit, 2)}. Measure at least {needed} poses that move these "
         f"joints over their range: {turned}."
     )
+
+
+def _moved(dataset: Dataset, quantity: str) -> float:
+    return float(np.nanmax(dataset[quantity]) - np.nanmin(dataset[quantity]))
 
 
 def _span(one: RegionRange, kind: str) -> str:
