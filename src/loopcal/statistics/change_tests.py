@@ -475,7 +475,7 @@ class _System:
                 angle, angle_sd, _ = self._size(j, chosen, turn=True)
                 turn = angle, t_quantile(0.95, self._freedom(j)) * angle_sd
             hidden: tuple[str, ...] = ()
-            if one.kind in PLACED and len(cause.names) > 1 and not cause.parts:
+            if one.kind in (*PLACED, "lens") and len(cause.names) > 1 and not cause.parts:
                 rows = self.causes.rows(j)
                 names = [cause.names[k] for k in np.flatnonzero(self.causes.in_unit(j, rows))]
                 parts = self.causes.changes(t)
@@ -557,7 +557,7 @@ class _System:
         others, alike = [i for i in chosen if i != j], []
         cost = len(self._rows(j)) * self._charge - self.beside(j, others).gain / self.scale
         for k in range(len(self.causes.causes)):
-            if k in chosen or not self._rows(k).size:
+            if k in chosen or not self._rows(k).size or self._within(j, k):
                 continue
             same = self.group[k] == self.group[j] or k in rivals
             if not same and self.smallest(k) <= self.causes.causes[k].most:
@@ -569,6 +569,11 @@ class _System:
             if same:
                 alike.append(self.causes.candidate(k))
         return tuple(alike)
+
+    def _within(self, j: int, k: int) -> bool:
+        """Whether one of them is a part of the other, as a focal length is of all."""
+        part, whole = self.causes.causes[j], self.causes.causes[k]
+        return not whole.parts and {*part.names} < {*whole.names}
 
     def smallest(self, i: int) -> float:
         """The smallest change that is seen with the stated power, in the direction that these poses
