@@ -126,7 +126,7 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
         chosen, system = (), begun
     whole, left = begun.innovation(()), system.innovation(chosen).p_value
     changes = system.changes(chosen, p_values, rivals)
-    verdict = _verdict(whole.p_value, changes, left)
+    verdict = changed.verdict_of(whole.p_value, changes, left)
     moved = causes.changes(system.t)
     what = WhatChanged(verdict, changes, begun.tested(), whole, begun.scale, left, moved)
     return Explained(what, system.linear, system.columns(chosen))
@@ -143,15 +143,6 @@ def _without(
     """The changes accepted so far, without those that no machine can have."""
     kept = tuple(i for i in chosen if i not in far)
     return (chosen, system) if kept == chosen else (kept, begun.settled(kept) if kept else begun)
-
-
-def _verdict(p_value: float | None, changes: Sequence[Change], left: float | None) -> str:
-    if not changes and (p_value is None or p_value >= LEVEL):
-        return "unchanged"
-    explained = left is None or left >= LEVEL
-    if changes and explained and all(change.zeros for change in changes):
-        return "re-master"
-    return "calibrate-anew"
 
 
 @dataclass(frozen=True, eq=False)
@@ -557,7 +548,8 @@ class _System:
         others, alike = [i for i in chosen if i != j], []
         cost = len(self._rows(j)) * self._charge - self.beside(j, others).gain / self.scale
         for k in range(len(self.causes.causes)):
-            if k in chosen or not self._rows(k).size or self._within(j, k):
+            within = self.causes.causes[j].within(self.causes.causes[k])
+            if k in chosen or not self._rows(k).size or within:
                 continue
             same = self.group[k] == self.group[j] or k in rivals
             if not same and self.smallest(k) <= self.causes.causes[k].most:
@@ -569,11 +561,6 @@ class _System:
             if same:
                 alike.append(self.causes.candidate(k))
         return tuple(alike)
-
-    def _within(self, j: int, k: int) -> bool:
-        """Whether one of them is a part of the other, as a focal length is of all."""
-        part, whole = self.causes.causes[j], self.causes.causes[k]
-        return not whole.parts and {*part.names} < {*whole.names}
 
     def smallest(self, i: int) -> float:
         """The smallest change that is seen with the stated power, in the direction that these poses

@@ -119,6 +119,10 @@ class Possible:
         """SI unit of each of its parts."""
         return self.units or tuple(unit_of(problem, name) for name in self.names)
 
+    def within(self, whole: Possible) -> bool:
+        """Whether it is a part of another one, as a focal length is of all."""
+        return not whole.parts and {*self.names} < {*whole.names}
+
     @property
     def often(self) -> bool:
         """Whether it is of a kind that happens often."""
