@@ -126,7 +126,7 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
         chosen, system = (), begun
     whole, left = begun.innovation(()), system.innovation(chosen).p_value
     changes = system.changes(chosen, p_values, rivals)
-    verdict = _verdict(whole.p_value, changes, left)
+    verdict = changed.verdict_of(whole.p_value, changes, left)
     moved = causes.changes(system.t)
     what = WhatChanged(verdict, changes, begun.tested(), whole, begun.spread, left, moved)
     return Explained(what, system.linear, system.columns(chosen))
@@ -143,15 +143,6 @@ def _without(
     """The changes accepted so far, without those that no machine can have."""
     kept = tuple(i for i in chosen if i not in far)
     return (chosen, system) if kept == chosen else (kept, begun.settled(kept) if kept else begun)
-
-
-def _verdict(p_value: float | None, changes: Sequence[Change], left: float | None) -> str:
-    if not changes and (p_value is None or p_value >= LEVEL):
-        return "unchanged"
-    explained = left is None or left >= LEVEL
-    if changes and explained and all(change.zeros for change in changes):
-        return "re-master"
-    return "calibrate-anew"
 
 
 @dataclass(frozen=True, eq=False)
@@ -477,7 +468,7 @@ class _System:
                 angle, angle_sd, _ = self._size(j, chosen, turn=True)
                 turn = angle, t_quantile(0.95, self._freedom(j)) * angle_sd
             hidden: tuple[str, ...] = ()
-            if one.kind in PLACED and len(cause.names) > 1 and not cause.parts:
+            if one.kind in (*PLACED, "lens") and len(cause.names) > 1 and not cause.parts:
                 rows = self.causes.rows(j)
                 names = [cause.names[k] for k in np.flatnonzero(self.causes.in_unit(j, rows))]
                 parts = self.causes.changes(t)
@@ -559,7 +550,8 @@ class _System:
         others, alike = [i for i in chosen if i != j], []
         cost = len(self._rows(j)) * self._charge - self.beside(j, others).gain / self.scale
         for k in range(len(self.causes.causes)):
-            if k in chosen or not self._rows(k).size:
+            within = self.causes.causes[j].within(self.causes.causes[k])
+            if k in chosen or not self._rows(k).size or within:
                 continue
             same = self.group[k] == self.group[j] or k in rivals
             if not same and self.smallest(k) <= self.causes.causes[k].most:

@@ -318,6 +318,16 @@ class WhatChanged:
         return lines
 
 
+def verdict_of(p_value: float | None, changes: Sequence[Change], left: float | None) -> str:
+    """Of `WhatChanged`, by the p-values of the whole and of what these changes leave."""
+    if not changes and (p_value is None or p_value >= LEVEL):
+        return "unchanged"
+    explained = left is None or left >= LEVEL
+    if changes and explained and all(change.zeros for change in changes):
+        return "re-master"
+    return "calibrate-anew"
+
+
 def _some(names: Sequence[str]) -> str:
     more = len(names) - _MOST_NAMED
     shown = ", ".join(names[:_MOST_NAMED])

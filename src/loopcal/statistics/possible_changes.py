@@ -120,6 +120,10 @@ class Possible:
         """SI unit of each of its parts."""
         return self.units or tuple(unit_of(problem, name) for name in self.names)
 
+    def within(self, whole: Possible) -> bool:
+        """Whether it is a part of another one, as a focal length is of all."""
+        return not whole.parts and {*self.names} < {*whole.names}
+
     @property
     def often(self) -> bool:
         """Whether it is of a kind that happens often."""
@@ -312,7 +316,10 @@ def _cameras(problem: Problem) -> Iterator[Possible]:
             yield _bracket(problem, [eye], "camera", eye) if eye in whole else alone
         if centre := tuple(lens_names[key] for key in ("cx", "cy") if key in lens_names):
             yield Possible("lens", centre, label=f"the principal point of {eye}")
-    yield from _focus(problem)
+    yield from (focus := [*_focus(problem)])
+    if len(focus) > 1:  # alike in all, which with the distance of the boards hides each of them
+        names = tuple(name for one in focus for name in one.names)
+        yield Possible("lens", names, label="the focal lengths")
     for role, kind in (("placement", "camera"), ("mounting", "mounting")):
         if len(eyes := _sitting(problem, role)) > 1:
             yield _bracket(problem, eyes, kind)
