@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pytest
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import loopcal as lc
@@ -373,6 +374,26 @@ def test_points_that_were_not_read_again_are_named(tmp_path: Path, arm: Any) -> 
     with refused("implausible-readings", "3 of 40", "not read again") as caught:
         lc.init(columns, dh=dh(tmp_path))
     assert caught.value.options == ("--exclude", "8,13,32")
+
+
+def test_a_tip_that_the_arm_turns_about_was_read_each_time(tmp_path: Path, arm: Any) -> None:
+    """The wrist turns about the reflector, and readings of 0.1 mm repeat."""
+    joints, points = (values[:40].copy() for values in arm)
+    ways = np.random.default_rng(3)
+    for i in (8, 9, 20, 21, 30):
+        joints[i] = _about_the_tip(joints[i - 1], ways)
+        points[i] = points[i - 1]
+    columns = {**of(joints, NAMES), **of(np.round(points, 4), "xyz")}
+    assert lc.init(columns, dh=dh(tmp_path)).rms < 5e-3
+
+
+def _about_the_tip(joints: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Other joints with the reflector where it was and the hand turned."""
+    tip = dh_arm.seen(joints[None], sd=0.0)[0, :3, 3]
+    begin = joints + 0.3 * rng.standard_normal(6)
+    made = least_squares(lambda q: dh_arm.seen(q[None], sd=0.0)[0, :3, 3] - tip, begin)
+    assert np.linalg.norm(made.fun) < 1e-6
+    return np.asarray(made.x)
 
 
 def test_gaps_of_a_joint_are_no_fault_of_the_file(tmp_path: Path, arm: Any) -> None:
