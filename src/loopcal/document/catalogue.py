@@ -270,7 +270,7 @@ _ROWS = (
     _sound_open(
         "range-zero",
         "{subject} reads distances {zero:2} (sd {sd:2}) too {which}, as by a wrong prism constant.",
-        "Correct the constant of the prism or reflector in the readings, and calibrate again.",
+        "Correct it in the readings, or add the effect range-zeros, and calibrate again.",
         detail=_MOVES,
     ),
     _sound_open(

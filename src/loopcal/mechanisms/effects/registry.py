@@ -7,6 +7,7 @@ from loopcal.mechanisms.effects.backlash import Backlash
 from loopcal.mechanisms.effects.compliance import Compliance
 from loopcal.mechanisms.effects.drift import Drift, Shift
 from loopcal.mechanisms.effects.harmonics import Harmonics
+from loopcal.mechanisms.effects.range_zeros import RangeZeros
 from loopcal.mechanisms.effects.scale import Scale
 from loopcal.mechanisms.effects.station_scales import StationScales
 from loopcal.mechanisms.effects.thermal import Thermal
@@ -16,6 +17,7 @@ __all__ = [
     "Compliance",
     "Drift",
     "Harmonics",
+    "RangeZeros",
     "Scale",
     "Shift",
     "StationScales",
