@@ -125,6 +125,10 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
     if system.astray and system.present > _EXPLAINED * begun.present:
         chosen, system = (), begun
     whole, left = begun.innovation(()), system.innovation(chosen).p_value
+    if left is not None and left < LEVEL and [causes.causes[i].kind for i in chosen[:1]] == ["delay"]:
+        # Between poses the way of a hand bends: what a straight one leaves is no other change.
+        chosen, system = chosen[:1], begun.settled(chosen[:1])
+        left = system.innovation(chosen).p_value
     changes = system.changes(chosen, p_values, rivals)
     verdict = changed.verdict_of(whole.p_value, changes, left)
     moved = causes.changes(system.t)
