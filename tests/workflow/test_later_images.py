@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import loopcal as lc
+from loopcal.arrays import Array
 from loopcal.estimation.calibrate import calibrate
 from loopcal.statistics import later_corners
 from loopcal.statistics.verified import Verification
@@ -35,11 +37,14 @@ def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def day(folder: Path, seed: int, count: int) -> Path:
-    """A folder of files as `init` takes them, with positions in mm."""
+def day(folder: Path, seed: int, count: int, stated: Array | None = None) -> Path:
+    """A folder of files as `init` takes them, with positions in mm.
+
+    stated: (n, 4, 4) poses in the file, in place of those that are.
+    """
     T = hands(count, seed)
     noise = np.random.default_rng(seed).normal(0.0, SD, (len(POINTS), 2, count))
-    written(folder, pixels(T, on="base") + noise, T)
+    written(folder, pixels(T, on="base") + noise, T if stated is None else stated)
     corners = folder / "corners.csv"
     corners.write_text(corners.read_text("utf-8").replace(",1,board", ",eye,board"), "utf-8")
     return folder
@@ -143,6 +148,33 @@ def test_an_update_follows_a_moved_camera_and_its_turn(
         sd = result.sd[f"eye_{end}"]
         assert sd is not None
         assert result.value[f"eye_{end}"] == pytest.approx(true, abs=4.0 * sd)
+
+
+def on_a_bent_way(T: Array, share: float) -> Array:
+    """Poses (n, 4, 4) as read a share of the way to the next, which begins aside of the chord: as
+    that of joints, which bends by about their turn."""
+    after = np.roll(T, -1, axis=0)
+    after[-1] = T[-1]
+    turn = np.linalg.inv(T) @ after
+    vector = Rotation.from_matrix(turn[:, :3, :3]).as_rotvec()
+    read = T.copy()
+    chord = after[:, :3, 3] - T[:, :3, 3]
+    w = np.einsum("nij,nj->ni", T[:, :3, :3], vector)
+    read[:, :3, 3] += share * (chord + 0.5 * np.cross(w, chord))
+    read[:, :3, :3] = T[:, :3, :3] @ Rotation.from_rotvec(share * vector).as_matrix()
+    return read
+
+
+@pytest.mark.parametrize("seed", [11, 12])
+def test_poses_read_on_a_bent_way_are_named_as_that_alone(
+    first: Path, tmp_path: Path, seed: int
+) -> None:
+    """They were another machine, or moves of camera and board along the run."""
+    done = verified(first, day(tmp_path, seed, 20, on_a_bent_way(hands(20, seed), 0.02)))
+    assert changes(done) == ["a delay towards the next pose"]
+    assert done.verdict["consistent"].code == "poses-delayed"
+    assert not done.shifts.found
+    assert not done.outliers
 
 
 def test_another_size_of_the_print_is_named(

@@ -55,7 +55,7 @@ _ROUNDS_OF_GROWTH = 10
 _TRIED = 3
 # Chosen, not derived: a candidate that does not halve it is not the cause.
 _HALVED = 0.5
-"""What a linearisation leaves of the misfit, for the next one of a candidate that is compared."""
+"""What a linearisation leaves of the misfit, for the next one of a candidate; and a delay alone."""
 # Chosen, not derived: what helps less may be chance. `analyses.what_changed` counts what is named.
 _HELPED, _EXPLAINED = 0.9, 0.1
 """What one change, and all together, leave at most of a misfit that stays gross."""
@@ -101,9 +101,9 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
     given_up: set[int] = set()  # what was given up is not tried again: the search ends
     while len(chosen) < changed.SOUGHT:
         tests = {i: p for i, p in system.tests(chosen).items() if i not in given_up}
-        if not tests or min(tests.values()) >= LEVEL:
+        if not (likely := [i for i, p in tests.items() if p < LEVEL]):  # the likeliest first
             break
-        several = [(*chosen, j) for j in system.tried(_significant(tests), chosen)]
+        several = [(*chosen, j) for j in system.tried(likely, chosen)]
         fits = [(one, system.settled(one, _HALVED)) for one in several]
         best, trial = min(fits, key=lambda fit: fit[1].cost(fit[0]))
         if trial.astray and trial.present > _HELPED * system.present:
@@ -120,21 +120,21 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
         if kept != chosen:
             given_up |= {*chosen} - {*kept}
             chosen, system = kept, system.settled(kept)
-            alone = {j: system.tests([i for i in kept if i != j]) for j in kept}
-            p_values |= {j: tests[j] for j, tests in alone.items() if j in tests}
+            apart = {j: system.tests([i for i in kept if i != j]) for j in kept}
+            p_values |= {j: tests[j] for j, tests in apart.items() if j in tests}
     if system.astray and system.present > _EXPLAINED * begun.present:
         chosen, system = (), begun
     whole, left = begun.innovation(()), system.innovation(chosen).p_value
+    if [causes.causes[i].kind for i in chosen[:1]] == ["delay"] and (left or 0.0) < LEVEL:
+        # Between poses the way of a hand bends: what a straight one leaves is no other change.
+        alone = begun.settled(chosen[:1])
+        if alone.present < _HALVED * begun.present:
+            chosen, system, left = chosen[:1], alone, alone.innovation(chosen[:1]).p_value
     changes = system.changes(chosen, p_values, rivals)
     verdict = changed.verdict_of(whole.p_value, changes, left)
     moved = causes.changes(system.t)
     what = WhatChanged(verdict, changes, begun.tested(), whole, begun.spread, left, moved)
     return Explained(what, system.linear, system.columns(chosen))
-
-
-def _significant(tests: Mapping[int, float]) -> list[int]:
-    """The causes that are, the likeliest first."""
-    return [i for i, p in tests.items() if p < LEVEL]
 
 
 def _without(

@@ -36,7 +36,7 @@ from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.statistics.another_day import Day
 from loopcal.statistics.calibrated import Calibrated, ResidualVariance
 from loopcal.statistics.change_tests import what_changed
-from loopcal.statistics.changed import DRIFT_OR_CHANGE, WhatChanged
+from loopcal.statistics.changed import DRIFT_OR_CHANGE, LEVEL, WhatChanged
 from loopcal.statistics.day_drift import drifted, smallest_drift
 from loopcal.statistics.day_run import NO_POSES, Run, faults, searched, with_further
 from loopcal.statistics.gain import Gain
@@ -233,6 +233,9 @@ def _searched(day: Day, linear: Linearised) -> tuple[WhatChanged | None, Run]:
     explained = what_changed(day, linear)
     if explained is None:
         return None, Run()
+    what = explained.what
+    if [one.kind for one in what.found] == ["delay"] and (what.left or 0.0) < LEVEL:
+        return what, Run()  # what it leaves looks like moves and outliers, and is none
     run = searched(explained)
     while run.outliers and (more := with_further(every, outliers, run.outliers)) is not None:
         rest = whole.without(more)
