@@ -14,7 +14,7 @@ from loopcal.estimation.fit import Fit
 from loopcal.instruments import point, spherical
 from loopcal.statistics.case import Case
 from loopcal.statistics.ordered_system import ordered_system
-from loopcal.statistics.range_zeros import range_zeros
+from loopcal.statistics.scales import range_zeros
 from tests.estimation.test_contacts import READINGS
 from tests.refusals import refused
 from tests.statistics.test_stations import stations

@@ -19,7 +19,6 @@ from loopcal.measurements.noise import MODEL, Noise
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.innovation import Linearised, components_of
 from loopcal.statistics.joint_errors import JointErrors
-from loopcal.statistics.neighbours import WAYS, delayed
 from loopcal.statistics.possible_changes import (
     ALONG_A_DAY,
     Possible,
@@ -28,7 +27,7 @@ from loopcal.statistics.possible_changes import (
     unit_of,
 )
 from loopcal.statistics.replacing import IN_PROPORTION, Replaced, freed, replaced
-from loopcal.statistics.run_order import told_by_joints
+from loopcal.statistics.run_order import WAYS, delayed, told_by_joints
 
 
 @dataclass(frozen=True, eq=False)

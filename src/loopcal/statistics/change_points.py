@@ -40,9 +40,8 @@ from loopcal.statistics.possible_changes import (
     possible,
     unit_of,
 )
-from loopcal.statistics.range_zeros import range_zeros
 from loopcal.statistics.run_order import FOLLOWED, order_by_joints, path_cosines, told_by_joints
-from loopcal.statistics.scales import scale_columns, scales
+from loopcal.statistics.scales import range_zeros, scale_columns, scales
 
 # Chosen, not derived: time and memory of the search.
 MOST_POSES = 5000

@@ -20,7 +20,7 @@ from loopcal.presentation.shown import (
 from loopcal.small_samples import f_tail
 from loopcal.statistics.innovation import Innovation
 from loopcal.statistics.judged_readings import RARE
-from loopcal.statistics.neighbours import WAYS
+from loopcal.statistics.run_order import WAYS
 
 # Record 0053.
 LEVEL = 0.015

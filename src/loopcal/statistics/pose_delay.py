@@ -25,9 +25,8 @@ from loopcal.arrays import Array
 from loopcal.document.findings import DelayEntry
 from loopcal.estimation.dependence.dependence import joint_rows
 from loopcal.small_samples import f_tail
-from loopcal.statistics.neighbours import motions
 from loopcal.statistics.ordered_system import Fitted
-from loopcal.statistics.run_order import told_by_joints
+from loopcal.statistics.run_order import motions, told_by_joints
 
 # Chosen, not derived: a poorer explanation may be one of something else.
 _SHARE = 0.5

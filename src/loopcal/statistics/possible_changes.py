@@ -21,8 +21,8 @@ from loopcal.mechanisms.parameters import GEOMETRY
 from loopcal.mechanisms.placement import ChainPlacement
 from loopcal.mechanisms.station import BASE, Station
 from loopcal.mechanisms.structure.structured import driven_joints
-from loopcal.statistics.neighbours import WAYS, told
 from loopcal.statistics.replacing import CAMERAS, IN_PROPORTION
+from loopcal.statistics.run_order import WAYS, told
 
 # What machines can have; chosen, not derived, a few times what their makers and users report: a
 # joint that is mastered anew, a link that a crash bends, a tool that is exchanged, a print that was

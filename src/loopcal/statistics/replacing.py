@@ -29,8 +29,8 @@ from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.lazy import cached_property
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.calibrated import ResidualVariance
-from loopcal.statistics.neighbours import WAYS, ways
 from loopcal.statistics.predictive import unmeasured_corrections
+from loopcal.statistics.run_order import WAYS, ways
 
 CAMERAS = "cameras"
 """All cameras that sit beside the machine, or that it carries."""

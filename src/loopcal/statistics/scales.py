@@ -1,4 +1,4 @@
-"""The scales of what was measured: of stations beside the first, of all beside the drawing.
+"""Scales and zeros of what was measured: of stations beside the first, of all beside the drawing.
 
 A station whose lengths are 1 + s times too long reads (1 + s) p instead of p. Its column in the
 whitened equations, sum_q p_q C_q of its readings q, stands beside those of all parameters:
@@ -16,6 +16,11 @@ taken as F(1, (k - 1) / w^2), as variances of sums are (Satterthwaite 1946).
 
 The column stands at the readings, whose noise, 1 in each of m whitened equations, is in the column
 too. It draws s towards 1 by m sd^2, which is less than sd only where sd < 1 / m.
+
+A wrong constant of a prism or reflector is a zero of all distances: an instrument at the origin of
+its frame that reads every distance c too long reads p + c p / |p| instead of p. Its column is
+sum_q (p_q / |p|) C_q. A scale grows with the distance and a shift of the station is alike in all
+directions, so distances and directions that differ separate the three.
 """
 
 from __future__ import annotations
@@ -41,6 +46,8 @@ _ABSORBED = 1e-10
 # Chosen, not derived: the lengths of two or three links are never so much in proportion.
 _LEFT = 0.01
 """Least share of the squares of lengths that a scale leaves."""
+_READ = {"point": slice(None), "spherical": slice(1), "polar": slice(1)}
+"""What reads points from where it stands, and which of its readings a distance changes."""
 
 
 def scales(fit: Fitted) -> tuple[ScaleEntry, ...]:
@@ -117,3 +124,48 @@ def _entry(
         freedom = (k - 1.0) / max(share, 1e-9) ** 2
     p_value = f_tail(square, 1, freedom)
     return ScaleEntry(tuple(names), size, sd, p_value, abs(size) * spread)
+
+
+def range_zeros(fit: Fitted) -> tuple[ScaleEntry, ...]:
+    """By station the distance that is read too long, with the p-value of one that is not there."""
+    seen = {family.name for family in instruments(fit.system.problem)}
+    entries = []
+    for station in by_station(fit.system.problem.mechanism):
+        families = [f for f in station if f.name in seen]
+        if not families or any(f.form not in _READ for f in families):
+            continue
+        column, spread = _zero_column(fit.system, families)
+        found = fit.step(column, _ABSORBED)
+        if math.isfinite(spread) and found.rank:
+            (size,), (sd,) = found.size.tolist(), found.sds.tolist()
+            p_value = f_tail(found.before(fit.spare), 1, math.inf)
+            names = tuple(f.name for f in families)
+            entries.append(ScaleEntry(names, size, sd, p_value, abs(size) * spread, "m"))
+    return tuple(entries)
+
+
+def _zero_column(system: OrderedSystem, families: list[Family]) -> tuple[Array, float]:
+    """(N, R, 1) of distances one metre too long, and the rms by which it moves points about their
+    mean [m]; infinite where the frame cannot be the instrument's own."""
+    problem, total, spread = system.problem, 0.0, 0.0
+    for family in families:
+        names = list(family.readings[_READ[family.form]])
+        rows = [problem.mechanism.tape.quantities.index(q) for q in names]
+        read = problem.readings[rows][:, system.order]
+        if family.form == "point":
+            if _among(read):
+                spread = math.inf
+            read = read / np.linalg.norm(read, axis=0)
+            spread = max(spread, math.sqrt(float(np.nanvar(read, axis=1).sum())))
+        else:
+            read, spread = np.ones_like(read), max(spread, 1.0)
+        total = total + np.einsum("nrq,qn->nr", system.columns(names), np.nan_to_num(read))
+    return np.asarray(total)[:, :, None], spread
+
+
+def _among(points: Array) -> bool:
+    """Whether the origin lies among points (c, N), as that of a machine does: instruments stand
+    outside its reach."""
+    middle = np.nanmean(points, axis=1, keepdims=True)
+    away = np.linalg.norm(points - middle, axis=0)
+    return bool(np.linalg.norm(middle) <= np.nanmax(away))

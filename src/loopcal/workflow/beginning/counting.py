@@ -131,7 +131,7 @@ def several(case: Case) -> Iterator[Explanation]:
     """Several joints that count from other zeros or the other way round: the best change of one
     joint after the other, begun with two at once where one alone leads nowhere."""
     machine = case.machine
-    if case.share <= NOTHING:
+    if case.share <= NOTHING or machine.units.count("rad") < 2:
         return
     zeros = dict.fromkeys(_with_zeros(machine), (0.0, *_RIGHT_ANGLES))
     changes = [
