@@ -140,6 +140,18 @@ def test_a_link_that_bends_is_named_and_no_zero_or_target(name: str, size: float
         assert f"{name}_from{point.number}" in again.mechanism.parameters.names
 
 
+def test_a_link_that_cools_is_no_step() -> None:
+    """It was "from pose 26 on a link changed" where it had shrunk all along the run."""
+    for seed in range(3):
+        poses = joints(80, seed)
+        cold, warm = read(poses, seed), read(poses, seed, {"x2": 1e-3})
+        share = np.exp(-np.linspace(0.0, 4.0, 80))
+        cooling = {q: cold[q] + share * (warm[q] - cold[q]) for q in "xyz"}
+        shifts = lc.find_shifts(fitted(sagging(cold.with_readings(cooling))))
+        assert not shifts.found
+        assert [p.moved for p in shifts.unsure] == ["link"]
+
+
 def test_parts_of_the_machine_that_do_the_same_change_together() -> None:
     """Beside joints that hardly turn, the length of a link does what a zero does."""
     for seed in range(4):

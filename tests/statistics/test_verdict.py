@@ -511,6 +511,22 @@ def test_no_machine_is_that_far_from_its_drawing(change: str, names: bool) -> No
     assert judged.sound.passed is not names
 
 
+def test_what_changed_along_the_run_is_not_off_the_drawing() -> None:
+    """A tool that was exchanged was "50 mm off its nominal value"."""
+    document = clean()
+    first = next(p for p in document.parameters if not p.fixed)
+    change = {first.name: Change(5e-2, 1e-4, "m")}
+    point = ChangePoint("step", "9", "8", 9, "target", change, 1e6, 1e-9, modelled=True)
+    made = replace(first, prior_sd=1e-2, value=first.nominal + 5e-2, owner=point.effect)
+    off = replace(
+        document,
+        parameters=tuple(made if p is first else p for p in document.parameters),
+    )
+    assert verdict_of(off).sound.code == "prior-tension"
+    said = verdict_of(replace(off, change_points=ChangePoints((point,), 0.01, 40))).sound
+    assert (said.code, said.passed) == ("changes-modelled", None)
+
+
 def test_a_hundred_prior_sds_are_too_far_for_every_method() -> None:
     document = clean()
     first = next(p for p in document.parameters if not p.fixed)

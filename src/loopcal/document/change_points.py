@@ -86,6 +86,13 @@ class ChangePoint:
         return {"expansion": (LENGTHS,), "load": (LOAD,)}.get(self.moved, self.names)
 
     @property
+    def effect(self) -> str:
+        """The name of the effect that models it."""
+        if self.shape == "ramp":
+            return f"drift of {', '.join(self.names)}"
+        return f"shift of {', '.join(self.changing)}"
+
+    @property
     def what(self) -> str:
         """When it changed, and what."""
         subject, verb, more = _WORDS["station" if self.of else self.moved]

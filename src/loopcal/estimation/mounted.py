@@ -263,6 +263,34 @@ def two_targets(bodies: Bodies, measured: Array) -> TwoTargets | None:
     return TwoTargets(which, apart, _rms(np.linalg.norm(left, axis=1)) / max(_spread(seen), 1e-12))
 
 
+def exchanged_targets(bodies: Bodies, one: Array, other: Array) -> NDArray[np.bool_]:
+    """(N,) where two targets on one body, points (N, 3) [m] each, stand in each other's columns.
+
+    Half-way between them nothing is exchanged: that point places the station. The way w_i on the
+    body from one target to the other is then v, or -v where they are exchanged, in the fewer poses;
+    True only where |w_i + v| < |v| / 3, and nowhere unless as many tenths as decide are so near v
+    or -v.
+    """
+    which = np.zeros(len(one), dtype=np.bool_)
+    rows = np.flatnonzero(np.isfinite(one + other).all(axis=1) & bodies.complete)
+    if len(rows) < 2 * _FEWEST:
+        return which
+    some, middle = bodies.take(rows), 0.5 * (one + other)[rows]
+    try:
+        placed = _points(some, middle[None], np.zeros((1, 3)))
+    except InputError:
+        return which
+    way = np.einsum("nji,nj->ni", some.rotations, (other - one)[rows] @ placed.S)
+    back = way @ np.linalg.svd(way, full_matrices=False)[2][0] > 0.0
+    back = back if 2 * back.sum() <= len(rows) else ~back
+    forth = np.where(back[:, None], -way, way)
+    v = np.median(forth, axis=0)
+    near = np.linalg.norm(forth - v, axis=1) < np.linalg.norm(v) / 3.0
+    if near.mean() >= KEPT:
+        which[rows[back & near]] = True
+    return which
+
+
 def see_poses(bodies: Bodies, measured: Array, turns: Array, rounds: int = _ROUNDS) -> Mounted:
     """A frame on the body, seen as positions (N, 3) [m] and rotations M (N, 3, 3)."""
     spread = max(_spread(measured), 1e-12)

@@ -68,6 +68,8 @@ RARE = {"joint": 10.0, "link": 10.0, "lens": 10.0}
 """By so much must the log p-value of a joint's zero, a link or a focal length be lower: a target
 that moves about the axis of the last joint does the same as a zero, a camera that moves along its
 axis much the same as a lens, and both do it more often."""
+GRADUAL = ("joint", "link")
+"""What may also change little by little, without a drift of it being sought."""
 # A factor of e^7, about 1000, in p: chosen, not derived.
 ALIKE = 7.0
 """An alternative whose log p is within this of the best explains the change about as well."""
@@ -264,12 +266,20 @@ class Search:
         return self.problem.readings[joint_rows(self.problem)][:, self.system.order].T
 
     def _smooth(self, fit: Fitted, steps: Sequence[_Step], cosines: int = _WAVES) -> list[_Step]:
-        """The steps that slow changes over the run explain, beside which only an edge counts."""
+        """The steps that slow changes over the run explain, beside which only an edge counts.
+
+        These are changes of the readings, or of a joint or link itself, as a machine cools.
+        """
         sudden = [step for step in steps if not step.ramp]
         if not sudden:
             return []
         waved = fit.beside(np.concatenate(self.system.waves(cosines), axis=2))
         edges = [self._without(waved, steps, step).step(step.columns) for step in sudden]
+        for i, step in enumerate(sudden):
+            if step.candidate.change.kind in GRADUAL:
+                curve = _Step(step.candidate, *step.candidate.seen).curved(BENDS)
+                beside = self._without(fit, steps, step).beside(curve).step(step.columns)
+                edges[i] = max(edges[i], beside, key=lambda edge: edge.log_p(fit.spare))
         unclear = [edge.log_p(fit.spare) >= math.log(_EDGE) for edge in edges]
         return [step for step, smooth in zip(sudden, unclear, strict=True) if smooth]
 

@@ -429,10 +429,21 @@ class _System:
         return system
 
     def too_far(self, chosen: Sequence[int]) -> tuple[int, ...]:
-        """Those that are larger than a machine can have."""
-        return tuple(
-            i for i in chosen if abs(self._size(i, chosen)[0]) > self.causes.causes[i].most
-        )
+        """Those that are larger than a machine can have; or than it usually has, where these poses
+        do not see them with the stated power, as chance."""
+        far = list[int]()
+        for i in chosen:
+            size, cause = abs(self._size(i, chosen)[0]), self.causes.causes[i]
+            part = self.beside(i, [j for j in chosen if j != i])
+            seen = part.gain >= self.scale * self._reach(i, part.rank) ** 2
+            if size > cause.most or (size > cause.usual(self.causes.unit(i)) and not seen):
+                far.append(i)
+        return tuple(far)
+
+    def _reach(self, i: int, rank: int) -> float:
+        """The size [sds] of a cause of such a rank that is seen with the stated power."""
+        power = t_quantile(2.0 * POWER - 1.0, self._freedom(i))
+        return math.sqrt(self.critical(i, max(rank, 1))) + power
 
     def kept(self, chosen: Sequence[int]) -> tuple[int, ...]:
         """Those that are still significant beside the others; the least one leaves first, since
@@ -473,22 +484,9 @@ class _System:
                 names = [cause.names[k] for k in np.flatnonzero(self.causes.in_unit(j, rows))]
                 parts = self.causes.changes(t)
                 hidden = tuple(name for name in names if name not in parts)
-            changes.append(
-                Change(
-                    one.name,
-                    one.kind,
-                    one.unit,
-                    size,
-                    sd,
-                    size - half,
-                    size + half,
-                    p_values[j],
-                    self._alike(chosen, j, rivals[j]),
-                    parts,
-                    hidden,
-                    turn,
-                )
-            )
+            named, span = (one.name, one.kind, one.unit), (size, sd, size - half, size + half)
+            alike = self._alike(chosen, j, rivals[j])
+            changes.append(Change(*named, *span, p_values[j], alike, parts, hidden, turn))
         return tuple(changes)
 
     def _size(
@@ -570,12 +568,9 @@ class _System:
         part = self.beside(i, ())
         if not part.rank:
             return math.inf
-        reach = math.sqrt(self.critical(i, part.rank)) + t_quantile(
-            2.0 * POWER - 1.0, self._freedom(i)
-        )
         alike = self.causes.in_unit(i, self._rows(i))
         worst = np.linalg.eigvalsh(part.covariance[np.ix_(alike, alike)])[-1]
-        return float(reach * np.sqrt(self.scale * worst))
+        return float(self._reach(i, part.rank) * np.sqrt(self.scale * worst))
 
     def tested(self) -> tuple[Candidate, ...]:
         """All causes, with the smallest change that is seen with the stated power."""

@@ -302,15 +302,14 @@ def _effects(data: Dataset, points: Sequence[ChangePoint], column: str) -> list[
     first = {pose: float(number) for pose, number in zip(data.poses, numbers, strict=True)}
     effects: list[Shift | Drift] = []
     steps = [p for p in points if p.shape == "step"]
-    for names in dict.fromkeys(p.changing for p in steps):
+    for names, title in dict.fromkeys((p.changing, p.effect) for p in steps):
         at = tuple(sorted({first[p.pose] for p in steps if p.changing == names}))
-        effects.append(Shift(names, at, column, name=f"shift of {', '.join(names)}"))
+        effects.append(Shift(names, at, column, name=title))
     for p in {p.names: p for p in points if p.shape == "ramp"}.values():
         since, until = first[p.pose], first[p.after]
-        title = f"drift of {', '.join(p.names)}"
         # Ending with the run, so that predictions hold for its end (docs/explanation/drift.md).
         span = until - since
-        effects.append(Drift(p.changing, column, "1", since, span, title, until, p.bends))
+        effects.append(Drift(p.changing, column, "1", since, span, p.effect, until, p.bends))
     return effects
 
 

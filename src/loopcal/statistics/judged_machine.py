@@ -40,8 +40,13 @@ distances, it must be off."""
 def prior_tension(document: ResultDocument) -> Fact | None:
     """The parameter farthest from its nominal value in prior sds.
 
-    |value - nominal| over the prior sd, which the sd of that difference never exceeds."""
-    estimated = [p for p in document.parameters if p.prior_sd and not p.fixed]
+    |value - nominal| over the prior sd, which the sd of that difference never exceeds. What changed
+    along the run is no matter of a drawing, and is stated as that change."""
+    changes = document.change_points
+    along = {point.effect for point in changes.found if point.modelled} if changes else set()
+    estimated = [
+        p for p in document.parameters if p.prior_sd and not p.fixed and p.owner not in along
+    ]
     if document.sensors_exact or not estimated:
         return None
     z, p = max(((_off(p) / (p.prior_sd or math.inf), p) for p in estimated), key=lambda one: one[0])

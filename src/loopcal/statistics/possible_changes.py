@@ -116,6 +116,10 @@ class Possible:
         """The largest that a machine can have [SI]."""
         return _MOST.get(self.sized or self.kind, math.inf)
 
+    def usual(self, unit: str) -> float:
+        """The usual size of a part in this SI unit; infinite where none is stated."""
+        return _USUAL.get((self.kind, unit), math.inf)
+
     def part_units(self, problem: Problem) -> tuple[str, ...]:
         """SI unit of each of its parts."""
         return self.units or tuple(unit_of(problem, name) for name in self.names)
@@ -135,7 +139,7 @@ class Possible:
         sizes (d,), covariance (d, d), units: of the parts that are seen [SI]. Sizes of a kind are
         spread about the usual one as a Cauchy distribution, whose tails are heavy.
         """
-        usual = np.array([_USUAL.get((self.kind, unit), math.inf) for unit in units])
+        usual = np.array([self.usual(unit) for unit in units])
         stated = np.flatnonzero(np.isfinite(usual))
         x = sizes[stated] / usual[stated]
         # What is hardly seen is as large as its sd, which is no size.

@@ -456,6 +456,22 @@ def test_two_targets_in_turn_under_one_name_are_told_apart(tmp_path: Path, camer
         lc.init({**of(joints, NAMES), **of(points, "xyz")}, dh=dh(tmp_path))
 
 
+@pytest.mark.parametrize("share", [0.05, 0.15, 0.4])
+def test_two_targets_that_are_swapped_in_some_rows_are_named(
+    tmp_path: Path, camera: Any, share: float
+) -> None:
+    """As points of one target they were "two targets in turn", or their misfit the arm's."""
+    joints, T = camera
+    one = 1e3 * T[:, :3, 3]
+    other = one + T[:, :3, :3] @ np.array([100.0, 20.0, 0.0])
+    swapped = np.random.default_rng(5).random((len(T), 1)) < share
+    points = np.hstack([np.where(swapped, other, one), np.where(swapped, one, other)])
+    rows = ", ".join(map(str, np.flatnonzero(swapped) + 1))
+    names = ["x1", "y1", "z1", "x2", "y2", "z2"]
+    with refused("implausible-readings", "are swapped in", f"({rows})"):
+        lc.init({**of(joints, NAMES), **of(points, names)}, dh=dh(tmp_path))
+
+
 def test_another_robot_is_refused_and_shuffled_points_are_named(tmp_path: Path, arm: Any) -> None:
     joints, points = arm
     rng, path = np.random.default_rng(3), dh(tmp_path)

@@ -14,7 +14,7 @@ from loopcal.files.recognition.joins import Fields
 from loopcal.files.recognition.layouts import Layout
 from loopcal.presentation.shown import significant
 from loopcal.workflow.beginning.counting import Case
-from loopcal.workflow.beginning.mixed import mixed_targets
+from loopcal.workflow.beginning.mixed import mixed_targets, swapped_targets
 from loopcal.workflow.beginning.objections import contradiction, objection, shifted
 from loopcal.workflow.beginning.searching import (
     CLEARLY,
@@ -102,6 +102,8 @@ def understood(
     best = ways[0]
     if fields.by_order and (displaced := shifted(case, ways[:1])):
         raise displaced.error()
+    if swapped := swapped_targets(best):
+        raise swapped
     if best.share > USUAL and (two := mixed_targets(best)):
         raise two
     # Written so that NaN is not plausible either.
