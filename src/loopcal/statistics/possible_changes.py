@@ -22,7 +22,7 @@ from loopcal.mechanisms.placement import ChainPlacement
 from loopcal.mechanisms.station import BASE, Station
 from loopcal.mechanisms.structure.structured import driven_joints
 from loopcal.statistics.replacing import CAMERAS, IN_PROPORTION
-from loopcal.statistics.run_order import WAYS, told
+from loopcal.statistics.run_order import WAYS, like_a_delay
 
 # What machines can have; chosen, not derived, a few times what their makers and users report: a
 # joint that is mastered anew, a link that a crash bends, a tool that is exchanged, a print that was
@@ -435,7 +435,7 @@ def _warming_slides(problem: Problem) -> Iterator[Possible]:
 
 def _delays(problem: Problem) -> Iterator[Possible]:
     """Poses that are read, or measured, on the way to the next one or from the last one."""
-    if joint_rows(problem) and not told(problem):
+    if joint_rows(problem) and not like_a_delay(problem):
         for name in WAYS:
             yield Possible("delay", (name,), units=("1",))
 

@@ -1,8 +1,8 @@
 """Whether what changes along a run can be told from what changes with the joints.
 
 In random order it can. Where the joints follow the order, as along a path or in layers of a grid,
-an error of the machine model does what a change along the run does. Where they do not, the way from
-each pose to its neighbours is one of its own, along which poses may be read early or late.
+an error of the machine model does what a change along the run does. In random order it also shows
+whether poses were read early or late: on the way to the next pose, or from the last one.
 """
 
 from __future__ import annotations
@@ -120,8 +120,8 @@ def delayed(problem: Problem, name: str, share: float) -> Problem:
     return at
 
 
-def told(problem: Problem) -> bool:
-    """Whether the joints tell the order: then what a delay does, the machine may do."""
+def like_a_delay(problem: Problem) -> bool:
+    """Whether the machine may do what a delay does, because the poses tell their order."""
     order = pose_order(problem)
     return told_by_joints(motions(problem, joint_rows(problem), order)) is not None
 

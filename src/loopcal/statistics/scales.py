@@ -47,7 +47,7 @@ _ABSORBED = 1e-10
 _LEFT = 0.01
 """Least share of the squares of lengths that a scale leaves."""
 _READ = {"point": slice(None), "spherical": slice(1), "polar": slice(1)}
-"""What reads points from where it stands, and which of its readings a distance changes."""
+"""By the form of an instrument: those of its readings that change with the distance."""
 
 
 def scales(fit: Fitted) -> tuple[ScaleEntry, ...]:

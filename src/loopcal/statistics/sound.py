@@ -340,8 +340,9 @@ def _delayed(document: ResultDocument) -> Fact | None:
     one = document.delay
     if one is None or one.p_value >= RARE:
         return None
-    numbers, spread = {"share": one.share, "sd": one.sd}, significant(100.0 * one.sd, 2)
-    return fact("poses-delayed", numbers=numbers, delay=f"T{one.words()[1:]}", spread=spread)
+    numbers, words = {"share": one.share, "sd": one.sd}, one.words()
+    delay, spread = f"{words[0].upper()}{words[1:]}", significant(100.0 * one.sd, 2)
+    return fact("poses-delayed", numbers=numbers, delay=delay, spread=spread)
 
 
 def _contradict(document: ResultDocument) -> Fact | None:

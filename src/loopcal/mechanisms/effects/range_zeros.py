@@ -9,17 +9,17 @@ import numpy as np
 
 from loopcal.errors import InputError
 from loopcal.mechanisms.effects.effect import Name
-from loopcal.mechanisms.effects.station_scales import by_station
+from loopcal.mechanisms.effects.station_scales import by_station, named, one_each
 from loopcal.mechanisms.frame import Values
-from loopcal.mechanisms.mechanism import Family, Mechanism
+from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter
 
 SD = 0.02
 """Prior sd of a zero [m]: constants of prisms and reflectors differ by as much."""
 _NEAR = 0.05
 """So near [m] no instrument reads; chosen, twice its own zeros."""
-POINTS = ("point", "pose")
-"""What states points; other instruments that read lengths from where they stand state distances."""
+_POINTS = ("point", "pose")
+"""Instruments that state points. The others that read lengths state a distance first."""
 
 
 @dataclass(frozen=True)
@@ -49,11 +49,7 @@ class RangeZeros:
                 code="unsupported",
                 remedy="remove the effect",
             )
-        return {
-            name: Parameter(name, 0.0, "m", SD, meaning=f"zero of the distances of {one[0].name}")
-            for one in stations
-            for name in [_named(one)]
-        }
+        return one_each(stations, "zero", "m", SD, "zero of the distances")
 
     def pose_constants(self, mechanism: Mechanism) -> dict[str, str]:
         """None."""
@@ -63,9 +59,9 @@ class RangeZeros:
         """What was read, without the zero."""
         read: dict[str, Any] = {}
         for station in by_station(mechanism):
-            zero = p[_named(station)]
+            zero = p[named(station, "zero")]
             for family in station:
-                if family.form in POINTS:
+                if family.form in _POINTS:
                     names = family.readings[:3]
                     shorter = 1.0 - zero / _distance([x[q] for q in names])
                     read |= {q: x[q] * shorter for q in names}
@@ -81,7 +77,3 @@ def _distance(point: list[Any]) -> Any:
     share = square / _NEAR**2
     share = share * share
     return np.sqrt(square + _NEAR**2 / (1.0 + share * share))
-
-
-def _named(instruments: list[Family]) -> str:
-    return f"{instruments[0].name}_zero"

@@ -56,11 +56,7 @@ class StationScales:
                 code="unsupported",
                 remedy="remove the effect, or add the instrument of another station",
             )
-        return {
-            name: Parameter(name, 0.0, "1", SD, meaning=f"scale of {one[0].name}")
-            for one in stations
-            for name in [_named(one)]
-        }
+        return one_each(stations, "scale", "1", SD, "scale")
 
     def pose_constants(self, mechanism: Mechanism) -> dict[str, str]:
         """The column."""
@@ -69,8 +65,8 @@ class StationScales:
     def changed(self, mechanism: Mechanism, x: Values, p: Values) -> dict[str, Any]:
         """The lengths of the machine, and those that are read, but by the first station."""
         first, *others = by_station(mechanism)
-        t, seen = x[self.column] if self.column else 1.0, p[_named(first)]
-        scales = {q: seen - p[_named(one)] for one in others for q in lengths_read(one)}
+        t, seen = x[self.column] if self.column else 1.0, p[named(first, "scale")]
+        scales = {q: seen - p[named(one, "scale")] for one in others for q in lengths_read(one)}
         still = lengths_read(first)
         for v in mechanism.variables:
             if (v.role, v.unit, v.first) == ("reading", "m", None) and v.name not in still:
@@ -108,5 +104,17 @@ def _grows(parameter: Parameter) -> bool:
     return parameter.unit == "m" and parameter.role != "placement"
 
 
-def _named(instruments: Sequence[Family]) -> str:
-    return f"{instruments[0].name}_scale"
+def named(instruments: Sequence[Family], what: str) -> str:
+    """INSTRUMENT_what of a station, after its first instrument."""
+    return f"{instruments[0].name}_{what}"
+
+
+def one_each(
+    stations: Sequence[Sequence[Family]], what: str, unit: str, sd: float, meaning: str
+) -> dict[str, Parameter]:
+    """A parameter of each station, zero but for its prior sd [SI]."""
+    names = {named(one, what): one[0].name for one in stations}
+    return {
+        name: Parameter(name, 0.0, unit, sd, meaning=f"{meaning} of {first}")
+        for name, first in names.items()
+    }
