@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from loopcal.files.recognition.dh_table import is_dh, read_dh
+from loopcal.files.recognition.robot_calls import called_robot
 
 ROWS = [  # a [m], d [m], alpha [rad], offset [rad]
     (0.15, 0.445, -np.pi / 2, 0.0),
@@ -70,3 +71,19 @@ def test_other_programs_are_no_robots(tmp_path: Path) -> None:
     path = tmp_path / "loops.py"
     path.write_text("class Link(Base):\n    pass\nroot = Link(base)\n")
     assert not is_dh(path)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Link('" + "b" * 150_000 + "')",
+        "Link(" + "a b, " * 30_000 + ")",
+        "Link(" + "1" * 150_000 + ")",
+        "".join(f"setFixedTransform(j, r{i}(1,:), 'dh'); " for i in range(4_000)),
+        "L = Link([0 0 0 0]);" + " " * 300_000,
+    ],
+)
+def test_a_program_that_defines_no_robot_is_put_aside_in_time(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "robot.m"
+    path.write_text(text)
+    assert called_robot(path) is None

@@ -26,20 +26,27 @@ _CALL = re.compile(
     r"(?P<inside>(?:[^()]|\([^()]*\))*)\)"
 )
 _VECTOR = re.compile(r"\s*\[([^\[\]]*)\](.*)", re.DOTALL)
-_ARGUMENT = re.compile(r"(?:['\"](\w+)['\"]\s*,|(\w+)\s*=(?!=))\s*(\[[^\[\]]*\]|[^,\[\]'\"]+)")
+_ARGUMENT = re.compile(
+    r"(?:['\"](\w+)['\"]\s*,|\b(\w{1,40})\s*=(?!=))\s*(\[[^\[\]]*\]|[^,\[\]'\"]+)"
+)
 _MATRIX = re.compile(r"\bSerialLink\s*\(\s*\[([^\[\]]*)\](.*)")
 _TREE = re.compile(
     r"\bsetFixedTransform\s*\(\s*\w+\s*,\s*(\w+)\s*\([^()]*\)\s*,\s*['\"](m?dh)['\"]"
 )
-_DEGREES = re.compile(r"deg2rad\(([^()]+)\)|([-+.\d]+)\*(?:pi/180|deg(?!\w))")
+_STATED = re.compile(r"\b(\w{1,40})\s*=\s*\[([^\[\]]*)\]")
+_DEGREES = re.compile(r"deg2rad\(([^()]+)\)|(?<![-+.\d])([-+.\d]+)\*(?:pi/180|deg(?!\w))")
 _ORDER = ("theta", "d", "a", "alpha", "sigma", "offset")
 _TREE_ORDER = ("a", "alpha", "d", "theta")
+_MOST = 200_000
+"""Bytes of a program, beyond which a file is none that defines a robot."""
 _COLUMNS = ("type", "a", "d", "alpha", "theta", "convention")
 
 
 def called_robot(path: Path) -> Table | None:
     """The rows of a robot that a program defines; None of any other text."""
     if path.suffix.lower() not in (".m", ".py", ".txt") or not path.is_file():
+        return None
+    if path.stat().st_size > _MOST:
         return None
     text = _COMMENT.sub("", path.read_text("utf-8", errors="replace"))
     rows = [*_calls(text)] or [*_matrices(text)]
@@ -67,10 +74,9 @@ def _matrices(text: str) -> Iterator[dict[str, str]]:
         for cells in _cells(matrix[1]):
             named = dict(zip(_ORDER, cells, strict=False))
             yield _row(named, modified="modified" in matrix[2], slides=False)
-    trees = dict(_TREE.findall(text))
-    for name, form in trees.items():
-        stated = re.search(rf"(?<!\w){name}\s*=\s*\[([^\[\]]*)\]", text)
-        for cells in _cells(stated[1]) if stated else ():
+    stated = dict(_STATED.findall(text))
+    for name, form in dict(_TREE.findall(text)).items():
+        for cells in _cells(stated.get(name, "")):
             named = dict(zip(_TREE_ORDER, cells, strict=False))
             yield _row(named, modified=form == "mdh", slides=False)
 
