@@ -204,7 +204,7 @@ def used_noise(fit: Fit, mechanism: Mechanism, data: Dataset, noise: Noise | Non
         return (
             sensor_noise
             if noise is None or noise.begin is None
-            else sensor_noise.begun_at(noise.begin)
+            else sensor_noise.begun_at(noise.begin, roughly=noise.roughly)
         )
     if noise is not None and _isotropic(mechanism) and MODEL not in noise.entries:
         return noise.with_learnt(MODEL, BEGIN)

@@ -174,8 +174,8 @@ def fitted(state: State, once: Once) -> State:
         return tried
     from loopcal.estimation.noise.estimation import estimate_noise
 
-    learnt = components(problem, state.noise)
-    estimate = estimate_noise(problem, learnt, solved, begin=state.noise.begin)
+    learnt, noise = components(problem, state.noise), state.noise
+    estimate = estimate_noise(problem, learnt, solved, begin=noise.begin, near=noise.roughly)
     return replace(_ended(state, estimate.solution), estimate=estimate)
 
 

@@ -74,6 +74,8 @@ class Noise:
         """Keys of the entries that follow from a maker's figure."""
         self.begin: Mapping[str, float] | None = None
         """Where the search for learnt sds begins, if not at the stated ones; see `begun_at`."""
+        self.roughly = False
+        """Whether that search may end near its end."""
         self.estimate: dict[str | tuple[str, ...], str] = dict((estimate or {}).items())
         for key, how in self.estimate.items():
             _check_key(key)
@@ -90,14 +92,14 @@ class Noise:
             return noise
         return cls(noise)
 
-    def begun_at(self, factors: Mapping[str, float]) -> Noise:
+    def begun_at(self, factors: Mapping[str, float], *, roughly: bool = True) -> Noise:
         """The same noise, with the search for sds begun near where it will end.
 
         factors: learnt over stated sd, for each name, glob or group that is learnt by itself; what
-        is not named begins at the stated sd.
+        is not named begins at the stated sd; roughly: the search may end near its end.
         """
         begun = copy(self)
-        begun.begin = dict(factors)
+        begun.begin, begun.roughly = dict(factors), roughly
         return begun
 
     def with_learnt(self, key: str, sd: float) -> Noise:

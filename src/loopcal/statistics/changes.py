@@ -29,7 +29,7 @@ from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 from loopcal.mechanisms.station import standing
 from loopcal.statistics.case import Begin, Case
 from loopcal.statistics.change_points import apart, find_shifts
-from loopcal.statistics.outliers import find_poses
+from loopcal.statistics.outliers import find_poses, misfits
 
 if TYPE_CHECKING:
     from loopcal.mechanisms.effects.drift import Drift, Shift
@@ -217,7 +217,7 @@ def _named_carefully(case: Case, way: Fit, run_changes: Changes) -> set[str] | N
     except (InputError, NoTrustworthyResult):
         return None
     assert judged is not None
-    return {one.pose for one in find_poses(judged).found}
+    return misfits(judged)
 
 
 def _fitted(way: Fit, run_changes: Changes, before: FitResult | None = None) -> Changes:

@@ -98,6 +98,9 @@ def lean(case: Case, one: Judged, rule: Rule = IDLE) -> Judged:
         begin = Begin.of(one.whole, fewer.case.mechanism)
         near = replace(fewer.case, trusted=True, begin=begin, near=unread(one.whole))
         near = replace(near, mechanism=_begun_with(near.mechanism, one.whole))
+        if near.noise is not None and one.whole.estimate and one.whole.estimate.settled:
+            factors = one.whole.estimate.factors
+            near = replace(near, noise=near.noise.begun_at(factors, roughly=False))
         again = fitted(replace(fewer, case=near))
         if again.failed:
             break

@@ -137,6 +137,15 @@ def find_poses(result: FitResult, level: float = _LEVEL, scale: str = _SCALE) ->
     return Outliers(named, level, search.tested(tests), root, fit.factor != 1.0, rejected=rejected)
 
 
+def misfits(result: FitResult) -> set[str]:
+    """The poses that `find_poses` names, without asking for the causes."""
+    with one_blas_thread():
+        search = Search(result, _LEVEL, _SCALE)
+        _, gone, _ = search.run()
+    poses = {search.problem.poses[i] for i in np.flatnonzero(gone)}
+    return poses | {one.pose for one in search.corners.outliers}
+
+
 def _named(
     search: Search, fit: Fitted, gone: NDArray[np.bool_], tests: PoseTests
 ) -> tuple[Outlier, ...]:

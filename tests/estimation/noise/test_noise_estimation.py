@@ -18,7 +18,7 @@ import loopcal as lc
 from analyses.variance_components import SMALL, SmallNoise
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.noise import estimation
-from loopcal.estimation.noise.estimation import estimate_noise
+from loopcal.estimation.noise.estimation import _shares, estimate_noise
 from loopcal.estimation.noise.learning import components
 from loopcal.estimation.noise.linear_model import LinearModel, ModelBlock, linear_model, whitened
 from loopcal.estimation.noise.linear_model import fit as mixed_fit
@@ -219,6 +219,16 @@ def test_a_sum_is_named_although_one_of_its_parts_ends_at_zero() -> None:
         assert entry.upper > 1.0
 
 
+def test_a_variance_that_swings_about_its_end_goes_to_the_zero_of_the_secant() -> None:
+    # x -> -1.5 x from x = 1: the step is -2.5 x, and its zero lies 0.4 of a step away
+    before, share = np.array([-2.5, -2.5, 1.0]), np.ones(3)
+    step = np.array([3.75, -0.5, 0.0])
+    assert _shares(share, before, step) == pytest.approx([0.4, 1.0, 1.0])
+    # 0.4 of the step leads to the end: the next ones are as long as they wish
+    assert _shares(np.full(1, 0.4), np.array([3.75]), np.zeros(1)) == pytest.approx([1.0])
+    assert _shares(np.ones(1), np.array([-1.0]), np.array([9.0])) == pytest.approx([0.25])
+
+
 def two_alike(shared: float, stated: float = 1.0) -> LinearModel:
     """Two sensors that show in nearly the same direction, of which the first is noisy.
 
@@ -267,8 +277,16 @@ def test_the_ratios_do_not_depend_on_where_the_search_begins(seed: int) -> None:
 
 
 def test_the_likelihood_ratios_of_the_real_grid_do_not_depend_on_the_sds_stated(
-    shared_data: Callable[[str], Path],
+    shared_data: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Nor is a second chance given twice from one place, because two searches end a little apart."""
+    begun, run = [], estimation._Search.run
+
+    def noted(search: Any, ratios: np.ndarray[Any, Any], **how: bool) -> Any:
+        begun.append(np.log(np.maximum(ratios, 1e-9)))
+        return run(search, ratios, **how)
+
+    monkeypatch.setattr(estimation._Search, "run", noted)
     file = shared_data("motoman_ma1400_leica/left_arm_grid.csv")
     columns = {f"theta_{i}": c for i, c in enumerate("SLURBT", 1)} | {k: k for k in "xyz"}
     data = lc.read_dataset(file, columns, pose="pose")
@@ -279,6 +297,9 @@ def test_the_likelihood_ratios_of_the_real_grid_do_not_depend_on_the_sds_stated(
         result = calibrate(arm, data, noise=noise)
         found.append([e.likelihood_ratio for e in result.noise if e.source == "estimated"])
     assert found[0] == pytest.approx(found[1], rel=1e-3, abs=1e-3)
+    pairs = [np.abs(one - other).max() for i, one in enumerate(begun) for other in begun[:i]]
+    assert len(begun) == 5
+    assert sum(pair < 0.1 for pair in pairs) == 1  # both begin at what is stated
 
 
 def test_a_stated_sd_parts_a_sensor_from_the_machine_at_the_same_point() -> None:

@@ -7,7 +7,7 @@ new sds (`loopcal.estimation.noise.variance_components`); both are repeated unti
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -67,10 +67,9 @@ PRINTED = 1e-2
 # Chosen, not derived: looser fits cost rounds, tighter ones steps.
 _SHARE = 0.1
 """A rough fit ends so many sds near its optimum for each unit by which the logarithms change."""
-# Chosen, not derived: swings that shrink faster end by themselves, within twenty rounds.
-_SWINGS = 0.8
-"""Logarithms of variances that step back by more than this go by half as much from then on: each
-fit linearises the loops elsewhere, which may lead past the sds at which fit and sds agree."""
+# Chosen, not derived: the secant of two rounds tells little more than an order of magnitude.
+_LEAST = 0.25
+"""Of a step, the least share that the logarithm of a variance goes."""
 # Chosen, not derived: new sds may mend one failure; every further one costs a fit.
 _FAILURES = 1
 """So many fits in succession may end without converging."""
@@ -221,29 +220,32 @@ def estimate_noise(
     fit: Fitting,
     *,
     begin: Mapping[str, float] | None = None,
+    near: bool = False,
 ) -> NoiseEstimate:
     """Fit and sds together: those of sensors, and those of the terms of the mechanism.
 
     fit: the method, to its own tolerance or to one given in sds, which is all that early rounds
-    with terms need; begin: `NoiseEstimate.factors` of nearly the same readings, from which the
-    sds settle in a few rounds; by default the search begins at the sds that the problem states.
-    The sds of terms begin at the prior sds of their parameters.
+    with terms need; begin: `NoiseEstimate.factors` of nearly the same machine and readings, from
+    which the sds settle in a few rounds, near: and may settle roughly; by default the search begins
+    at the sds that the problem states. The sds of terms begin at the prior sds of their parameters.
     """
     spreads = np.array([component.spread for component in components])
     positions = [component.quantities for component in components]
     search = _Search(problem, positions, spreads, fit)
     if begin is not None:
         best = search.run(
-            np.square([begin.get(component.name, 1.0) for component in components]), near=True
+            np.square([begin.get(component.name, 1.0) for component in components]),
+            right=True,
+            near=near,
         )
     else:
-        best = search.run(np.ones(len(components)))
-        doubtful = list(search.doubtful(best))
-        while doubtful:
-            again = search.run(doubtful.pop(0))
+        begun = [np.ones(len(components))]
+        best = search.run(begun[0])
+        while (other := search.doubtful(best, begun)) is not None:
+            begun.append(other)
+            again = search.run(other)
             if again.better_than(best):
                 best = again
-                doubtful = list(search.doubtful(best))
             elif not (again.fitted or best.fitted):
                 break
     status = replace(best.solution.status, iterations=best.iterations)
@@ -305,28 +307,30 @@ class _Search:
         alone = not learnt or (learnt == 1 and self.common)
         return bool(self.stated.mechanism.learnt_terms) and alone and not self.as_read
 
-    def doubtful(self, end: _Round) -> Iterator[Array]:
-        """Other ratios to begin from, where the end is far from what was stated.
+    def doubtful(self, end: _Round, begun: Sequence[Array]) -> Array | None:
+        """Other ratios to begin from, where the end is far from what was stated; None without any.
 
         At sds that are wrong by much the first fit may blame the wrong sensor and never get away
-        from it. Each sensor that ended far from its stated sd gets a second chance there.
+        from it. Each sensor that ended far from its stated sd gets a second chance there. begun:
+        where searches began already.
         """
         if self.by_sums or _hopeless(end.solution):
-            return
+            return None
         for i, ratio in enumerate(end.variances.ratios):
             if not 1.0 / _FAR < ratio < _FAR:
                 other = end.variances.ratios.copy()
                 other[i] = 1.0
-                if not np.array_equal(other, np.ones(len(other))):  # where the search began
-                    yield other
+                if all(_change(one, other) > NEARBY for one in begun):
+                    return other
+        return None
 
-    def run(self, ratios: Array, *, near: bool = False) -> _Round:
+    def run(self, ratios: Array, *, right: bool = False, near: bool = False) -> _Round:
         """Fit and variances in turn, from these ratios, until neither moves.
 
-        near: they are roughly right. Fits that do not converge end the search, because sds learnt
+        right: they are roughly right; near: and may settle roughly. Fits that do not converge end the search, because sds learnt
         where the loops were left mean nothing. A second fit from there is the last attempt.
         """
-        start, before, vanish, iterations, failed = self.stated.start, math.inf, near, 0, 0
+        start, before, vanish, iterations, failed = self.stated.start, math.inf, right, 0, 0
         scales, corrections = scales_of(self.stated), self.stated.first_corrections
         rough, last = ROUGH if len(scales) and not near else None, math.inf
         share, stepped = np.ones(len(ratios) + len(scales)), np.zeros(len(ratios) + len(scales))
@@ -372,7 +376,7 @@ class _Search:
                 elif change > 0.5 * last:  # the end of the fit itself keeps them from settling
                     rough = _SHARE * min(rough or ROUGH, change)
             step = np.concatenate([_rise(ratios, variances.ratios), 2.0 * np.log(learnt / scales)])
-            share[step * stepped < -_SWINGS * np.square(stepped)] *= 0.5
+            share = _shares(share, stepped, step)
             part, last, stepped = np.exp((share - 1.0) * step), change, step
             ratios = variances.ratios * part[: len(ratios)]
             scales = learnt * np.sqrt(part[len(ratios) :])
@@ -449,6 +453,19 @@ def _rise(before: Array, after: Array) -> Array:
     """The logarithms of the ratios of variances, 0 where one of both is zero."""
     both = (before > 0.0) & (after > 0.0)
     return np.asarray(np.log(np.where(both, after, 1.0) / np.where(both, before, 1.0)))
+
+
+def _shares(shares: Array, before: Array, step: Array) -> Array:
+    """(n,) of a step, the share that each logarithm goes: to the zero of the secant of its steps.
+
+    Each fit linearises the loops elsewhere, which may lead past the variances at which fit and
+    variances agree. None goes farther than its step: together they would swing without end.
+
+    shares, before: of the step before.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        secant = shares * before / (before - step)
+    return np.where(step * before < 0.0, np.clip(secant, _LEAST, 1.0), 1.0)
 
 
 def _change(before: Array, after: Array) -> float:
