@@ -279,8 +279,9 @@ def test_the_ratios_do_not_depend_on_where_the_search_begins(seed: int) -> None:
 def test_the_likelihood_ratios_of_the_real_grid_do_not_depend_on_the_sds_stated(
     shared_data: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Nor is a second chance given twice from one place, because two searches end a little apart."""
-    begun, run = [], estimation._Search.run
+    """Nor is a second chance given twice from one place: two searches end a little apart."""
+    begun: list[np.ndarray[Any, Any]] = []
+    run = estimation._Search.run
 
     def noted(search: Any, ratios: np.ndarray[Any, Any], **how: bool) -> Any:
         begun.append(np.log(np.maximum(ratios, 1e-9)))

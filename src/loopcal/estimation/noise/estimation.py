@@ -327,8 +327,9 @@ class _Search:
     def run(self, ratios: Array, *, right: bool = False, near: bool = False) -> _Round:
         """Fit and variances in turn, from these ratios, until neither moves.
 
-        right: they are roughly right; near: and may settle roughly. Fits that do not converge end the search, because sds learnt
-        where the loops were left mean nothing. A second fit from there is the last attempt.
+        right: they are roughly right; near: and may settle roughly. Fits that do not converge end
+        the search, because sds learnt where the loops were left mean nothing. A second fit from
+        there is the last attempt.
         """
         start, before, vanish, iterations, failed = self.stated.start, math.inf, right, 0, 0
         scales, corrections = scales_of(self.stated), self.stated.first_corrections
