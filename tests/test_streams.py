@@ -20,7 +20,7 @@ import pytest
 
 from loopcal import Noise
 from loopcal.errors import Code
-from loopcal.estimation.stream import last_pass
+from loopcal.estimation.stream import calibrate as last_pass
 from loopcal.execution.cluster import Cluster
 from loopcal.execution.executor import Executor
 from loopcal.execution.local import Processes, Threads
@@ -30,8 +30,7 @@ from loopcal.files.project.project_file import Project, read_project
 from loopcal.files.project.stream import project_stream
 from loopcal.files.result.pose_table import ResidualParts
 from loopcal.mechanisms.planar import planar_two_link
-from loopcal.simulation.poses import random_poses
-from loopcal.simulation.simulate import simulate
+from loopcal.simulation.simulate import random_poses, simulate
 from loopcal.workflow.calibration import Listeners, Request, run_calibration
 from loopcal.workflow.checking import run_check
 from tests.command_line import environment, run_here

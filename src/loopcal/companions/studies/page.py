@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from loopcal.companions.studies.draws import first_draw
-from loopcal.companions.studies.paired import Paired
 from loopcal.companions.studies.run import StudyDone
-from loopcal.companions.studies.tables import MethodTable, ScenarioTable, Spread
+from loopcal.companions.studies.tables import MethodTable, Paired, ScenarioTable, Spread
 from loopcal.estimation.result import FitResult
 from loopcal.figures.accuracy import over_poses
 from loopcal.figures.figure import COLOURS, Figure, axis, ends, layout, shown_text, trace

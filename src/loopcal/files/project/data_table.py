@@ -12,8 +12,8 @@ from loopcal.files.machines.parameter_entries import Units, by_dimension, in_si
 from loopcal.files.project.names import QUANTITY
 from loopcal.files.project.noise_table import Noises
 from loopcal.files.project.source_table import SourceTable
-from loopcal.files.tables.columns import Column
 from loopcal.files.tables.reader import Layout
+from loopcal.files.tables.readers import Column
 from loopcal.files.toml.place import Place
 from loopcal.keys import Key
 from loopcal.mechanisms.mechanism import Mechanism

@@ -16,9 +16,9 @@ from loopcal.arrays import Array
 from loopcal.companions.robot.programs.copying import NOT_ALONE, NOT_NEXT, literal
 from loopcal.companions.robot.programs.dialect import WAIT, Drive, ProgramDialect, Stops
 from loopcal.companions.robot.programs.joint_axes import JointAxes
-from loopcal.companions.robot.programs.listing import Listing
 from loopcal.companions.robot.programs.program import (
     NUMBER,
+    Listing,
     Move,
     Number,
     Place,

@@ -10,7 +10,7 @@ import numpy as np
 
 from loopcal.arrays import Array
 from loopcal.errors import InputError
-from loopcal.files.tables.columns import Column
+from loopcal.files.tables.readers import Column
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,7 +32,7 @@ from loopcal.companions.robot.programs.program import (
 )
 from loopcal.errors import InputError, listed
 from loopcal.files.tables.cells import number
-from loopcal.files.tables.dialect import WHITESPACE, Dialect, Row, recognise
+from loopcal.files.tables.delimited import WHITESPACE, Dialect, Row, recognise
 from loopcal.files.tables.reader import Layout
 from loopcal.units import unit
 
