@@ -26,7 +26,8 @@ import polars as pl
 from analyses.written import write_block
 from loopcal import Noise
 from loopcal.mechanisms.planar import motoman_ma1400
-from loopcal.simulation.simulate import random_poses, simulate
+from loopcal.simulation.poses import random_poses
+from loopcal.simulation.simulate import simulate
 
 PART = 500_000
 TRUTH = {"x1": 0.153, "z2": 0.612, "phix1": 0.003}

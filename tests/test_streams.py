@@ -30,7 +30,8 @@ from loopcal.files.project.project_file import Project, read_project
 from loopcal.files.project.stream import project_stream
 from loopcal.files.result.pose_table import ResidualParts
 from loopcal.mechanisms.planar import planar_two_link
-from loopcal.simulation.simulate import random_poses, simulate
+from loopcal.simulation.poses import random_poses
+from loopcal.simulation.simulate import simulate
 from loopcal.workflow.calibration import Listeners, Request, run_calibration
 from loopcal.workflow.checking import run_check
 from tests.command_line import environment, run_here

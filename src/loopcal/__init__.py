@@ -137,7 +137,7 @@ if TYPE_CHECKING:
     from loopcal.mechanisms.structure.structured import structured as structured
     from loopcal.mechanisms.terms import Term as Term
     from loopcal.report.page import report as report
-    from loopcal.simulation.simulate import grid_poses as grid_poses, random_poses as random_poses
+    from loopcal.simulation.poses import grid_poses as grid_poses, random_poses as random_poses
     from loopcal.simulation.simulate import Simulation as Simulation
     from loopcal.statistics.changed import WhatChanged as WhatChanged
     from loopcal.statistics.changes import Shifted as Shifted, with_shifts as with_shifts
@@ -224,7 +224,8 @@ _HOME = {
     "mechanisms.structure.structured": ("structured",),
     "mechanisms.terms": ("Term",),
     "companions.performance.summary": ("Performance",),
-    "simulation.simulate": ("Simulation", "grid_poses", "random_poses"),
+    "simulation.poses": ("grid_poses", "random_poses"),
+    "simulation.simulate": ("Simulation",),
     "statistics.check": ("Check",),
     "statistics.compared": ("Compared",),
     "statistics.intervals": ("Interval",),

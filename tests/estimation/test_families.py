@@ -16,7 +16,8 @@ from loopcal.mechanisms.machine import assemble
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parallel.four_bar import four_bar
 from loopcal.mechanisms.serial import Joint, serial_machine
-from loopcal.simulation.simulate import Simulation, random_poses, simulate
+from loopcal.simulation.poses import random_poses
+from loopcal.simulation.simulate import Simulation, simulate
 
 NOISE = {"q*": 2e-5, "*_east": 3e-5, "*_west": 5e-5}
 STATIONS = {

@@ -12,7 +12,8 @@ from loopcal.estimation.prediction import predict_outputs
 from loopcal.mechanisms.instruments.pose import pose
 from loopcal.mechanisms.machine import assemble
 from loopcal.mechanisms.parallel.stewart_gough import stewart_gough
-from loopcal.simulation.simulate import random_poses, simulate
+from loopcal.simulation.poses import random_poses
+from loopcal.simulation.simulate import simulate
 from loopcal.statistics.prediction import predict
 
 NOISE = Noise({"leg_*": 1e-5, "xyz": 1.5e-5, "pose_w?": 5e-5, "platform_*": np.inf})

@@ -23,7 +23,8 @@ from loopcal.mechanisms.parallel.stewart_gough import stewart_gough
 from loopcal.mechanisms.planar import planar_two_link
 from loopcal.mechanisms.redundancy import fix_redundant, redundant, without_redundant
 from loopcal.mechanisms.serial import Joint, serial_arm, serial_machine
-from loopcal.simulation.simulate import random_poses, simulate
+from loopcal.simulation.poses import random_poses
+from loopcal.simulation.simulate import simulate
 from tests.reference.robots import CHAINS, urdf_of
 from tests.refusals import refused
 

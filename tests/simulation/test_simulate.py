@@ -14,7 +14,8 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.planar import motoman_ma1400, planar_two_link
-from loopcal.simulation.simulate import Simulation, grid_poses, random_poses, simulate
+from loopcal.simulation.poses import grid_poses, random_poses
+from loopcal.simulation.simulate import Simulation, simulate
 from tests.refusals import refused
 
 BASE = Noise({"xP": 1e-4, "yP": 1e-4, "phi?": 1e-3})

@@ -19,7 +19,8 @@ from loopcal.mechanisms.effects.harmonics import Harmonics
 from loopcal.mechanisms.effects.scale import Scale
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.planar import planar_two_link
-from loopcal.simulation.simulate import random_poses, simulate
+from loopcal.simulation.poses import random_poses
+from loopcal.simulation.simulate import simulate
 from loopcal.statistics import case
 from loopcal.statistics.folds import folds, grouped
 from loopcal.statistics.models import ComparedModel, compare_models, recommended

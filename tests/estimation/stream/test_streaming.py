@@ -24,7 +24,8 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.planar import motoman_ma1400, planar_two_link
 from loopcal.mechanisms.prior import Prior
 from loopcal.mechanisms.structure.structured import structured
-from loopcal.simulation.simulate import random_poses, simulate
+from loopcal.simulation.poses import random_poses
+from loopcal.simulation.simulate import simulate
 from loopcal.statistics.outliers import find_outliers
 from tests.execution.pieces import Backwards
 from tests.reference.simulated import planar_arm

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loopcal.companions.robot.programs.joint_axes import JointAxes
+from loopcal.companions.robot.programs.coordinates import JointAxes
 from loopcal.companions.robot.programs.program import Program, text_of, written
 from loopcal.companions.robot.programs.table import read_table
 from loopcal.files.tables.readers import Column

@@ -12,7 +12,8 @@ from loopcal.files.machines.mechanism_file import read_mechanism
 from loopcal.files.project.project_data import load_dataset
 from loopcal.files.project.project_file import Project, read_project
 from loopcal.files.project.templates import TEMPLATES, template_files
-from loopcal.simulation.simulate import Simulation, grid_poses, random_poses, simulate
+from loopcal.simulation.poses import grid_poses, random_poses
+from loopcal.simulation.simulate import Simulation, simulate
 from tests.refusals import refused
 
 

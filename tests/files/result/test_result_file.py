@@ -37,7 +37,8 @@ from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.planar import planar_two_link
 from loopcal.mechanisms.prior import Prior
-from loopcal.simulation.simulate import grid_poses, simulate
+from loopcal.simulation.poses import grid_poses
+from loopcal.simulation.simulate import simulate
 from loopcal.statistics.prediction import predict
 from loopcal.statistics.predictor import predictor_of
 from loopcal.workflow.result import Result, write_result

@@ -21,7 +21,7 @@ from typing import Any
 
 from loopcal.errors import InputError, short
 from loopcal.files.atomic import Data, clear_up, write_all
-from loopcal.files.json_reader import json_bytes
+from loopcal.files.json_files import json_bytes
 from loopcal.measurements.days import Days
 from loopcal.units import unit
 

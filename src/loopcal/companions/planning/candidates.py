@@ -36,7 +36,8 @@ from loopcal.mechanisms.outputs import POLAR, cartesian_slopes, point_outputs, p
 from loopcal.mechanisms.placement import inverse
 from loopcal.mechanisms.skeleton import target_names
 from loopcal.mechanisms.station import Station
-from loopcal.simulation.simulate import random_poses, simulate, within_reach
+from loopcal.simulation.poses import random_poses
+from loopcal.simulation.simulate import simulate, within_reach
 
 STEP = {"rad": math.radians(0.01), "m": 1e-5}
 """Steps of random readings [SI]."""

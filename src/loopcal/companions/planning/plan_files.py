@@ -21,7 +21,7 @@ from loopcal.companions.planning.search import Progress
 from loopcal.errors import InputError
 from loopcal.estimation.result import FitResult
 from loopcal.files.atomic import write_all
-from loopcal.files.json_writer import marked, marked_json
+from loopcal.files.json_files import marked, marked_json
 from loopcal.files.outputs import expanded, refuse_foreign
 from loopcal.files.project.project_data import load_dataset
 from loopcal.files.project.project_file import Project

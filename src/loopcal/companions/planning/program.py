@@ -16,8 +16,8 @@ import numpy as np
 
 from loopcal.arrays import Array
 from loopcal.companions.planning.planned import Plan
+from loopcal.companions.robot.programs.coordinates import JointAxes
 from loopcal.companions.robot.programs.dialect import Stops
-from loopcal.companions.robot.programs.joint_axes import JointAxes
 from loopcal.companions.robot.programs.program import refuse_redundant
 from loopcal.companions.robot.programs.registry import WRITTEN
 from loopcal.errors import InputError

@@ -21,9 +21,8 @@ from loopcal.companions.robot.corrected import (
 )
 from loopcal.companions.robot.correction import Correction, StraightMove, divided, line_errors
 from loopcal.companions.robot.inverse import solutions, solve, with_turns
+from loopcal.companions.robot.programs.coordinates import JointAxes, pose_of_turns
 from loopcal.companions.robot.programs.copying import inserted
-from loopcal.companions.robot.programs.joint_axes import JointAxes
-from loopcal.companions.robot.programs.poses_text import pose_of_turns
 from loopcal.companions.robot.programs.program import Program, ProgramTarget
 from loopcal.companions.robot.programs.registry import (
     beside,

@@ -28,7 +28,7 @@ from loopcal.errors import InputError, Unfinished, UsageError
 from loopcal.execution.executor import Executor
 from loopcal.execution.local import Processes
 from loopcal.files.atomic import write_atomic, write_files
-from loopcal.files.json_writer import marked_json
+from loopcal.files.json_files import marked_json
 from loopcal.files.machines.python_function import load_function
 from loopcal.files.outputs import refuse_foreign
 from loopcal.files.tables.writer import table_bytes

@@ -18,7 +18,7 @@ from loopcal.files.toml.place import Place
 from loopcal.keys import CONTEXT, Key, Made
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameters
-from loopcal.simulation.simulate import grid_poses, random_poses, stream
+from loopcal.simulation.poses import grid_poses, random_poses, stream
 
 MOST_POSES = 100_000_000
 

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.arrays import Array
-from loopcal.companions.robot.programs.joint_axes import JointAxes
-from loopcal.companions.robot.programs.poses_text import pose_of_turns, turns_of_pose
+from loopcal.companions.robot.programs.coordinates import JointAxes, pose_of_turns, turns_of_pose
 from loopcal.errors import InputError, short
 
 NUMBER = re.compile(r"[+-]?(?:\d++\.?\d*+|\.\d++)(?:[eE][+-]?\d++)?", re.ASCII)
