@@ -28,8 +28,8 @@ from loopcal.figures.life import (
 )
 from loopcal.files.result.deployed import FLEET, HISTORY, VERIFICATION
 from loopcal.presentation.shown import Table, by_sd, chance, in_unit, significant, size, unit_shown
-from loopcal.report.section import Part, Section, section_page
 from loopcal.report.source import Source
+from loopcal.report.templates import Part, Section, section_page
 from loopcal.report.verification_page import UNITS, change_figures
 from loopcal.statistics.changed import WhatChanged
 

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 from loopcal.estimation.result import UPDATED
 from loopcal.files.result.deployed import OTHER_DAYS
-from loopcal.report.section import Section
 from loopcal.report.source import Source
+from loopcal.report.templates import Section
 
 
 def sections(source: Source) -> Iterator[Section]:

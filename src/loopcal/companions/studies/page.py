@@ -17,8 +17,7 @@ from loopcal.figures.residuals import over_poses
 from loopcal.figures.space import arrows
 from loopcal.files.atomic import write_files
 from loopcal.presentation.shown import Table, in_unit, percent, size, unit_shown
-from loopcal.report.section import Section
-from loopcal.report.templates import page
+from loopcal.report.templates import Section, page
 
 # Distributions of errors over many draws, method beside method, a printed draw among them.
 

@@ -30,7 +30,6 @@ from loopcal.files.recognition.joins import Fields, joined
 from loopcal.files.recognition.joint_sets import joint_columns, turned_columns
 from loopcal.files.recognition.layouts import Layout, layouts, with_points_for_turns
 from loopcal.files.recognition.logs import at_rest
-from loopcal.files.recognition.observations import observations
 from loopcal.files.recognition.robots import (
     Robot,
     dh_robot,
@@ -39,6 +38,7 @@ from loopcal.files.recognition.robots import (
     typed_robot,
     urdf_robot,
 )
+from loopcal.files.recognition.rows import observations
 from loopcal.files.recognition.sources import refuse_unknown, sources_of_all
 from loopcal.files.tables.writer import table_bytes
 from loopcal.measurements.checks import check_dataset, refuse_lost
