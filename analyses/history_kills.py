@@ -21,9 +21,9 @@ from loopcal.companions.life.history_folder import read_entries
 
 WRITER = """
 import sys
-from loopcal.companions.life.history_folder import append_entry
+from loopcal.companions.life.history_folder import append_entries
 while True:
-    entry = append_entry(sys.argv[1], "event", {"words": "x" * 20000})
+    entry = append_entries(sys.argv[1], [("event", {"words": "x" * 20000})]).whole[-1]
     print(entry.sequence, flush=True)
 """
 

@@ -18,7 +18,7 @@ import pytest
 
 import loopcal as lc
 from analyses.what_changed import NOISE, arm, joints, measured
-from loopcal.companions.life.history_folder import append_entry
+from loopcal.companions.life.history_folder import append_entries
 from loopcal.companions.life.pages import fleet_html, history_html
 from loopcal.report.verification_page import verification_html
 from tests.browser import chromium, opened
@@ -68,8 +68,8 @@ def history(folder: Path) -> str:
         day = START + timedelta(days=91 * i)
         measured = {"first": f"{day:%Y-%m-%d}", "last": f"{day:%Y-%m-%d}"}
         content = {"words": "ok", "rms": rms, "unit": "m", "parameters": its, "measured": measured}
-        append_entry(folder, "calibration", content, time=day)
-    append_entry(folder, "event", {"words": "collision"}, time=START + timedelta(days=500))
+        append_entries(folder, [("calibration", content)], time=day)
+    append_entries(folder, [("event", {"words": "collision"})], time=START + timedelta(days=500))
     return history_html(lc.history(folder))
 
 

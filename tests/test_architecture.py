@@ -59,7 +59,7 @@ MAY_TOUCH_DISK = {"files", "cli"}
 FILES_OF_COMPANIONS = {
     *("companions.app.project_folder", "companions.life.history_folder"),
     *("companions.record.record_file", "companions.record.xml_schema"),
-    *("companions.robot.exports.format", "companions.studies.study_parts"),
+    *("companions.robot.exports.format", "companions.studies.run"),
 }
 """Files that only a companion has."""
 DISK_MODULES = {

@@ -9,8 +9,8 @@ import pytest
 
 import loopcal as lc
 from loopcal.workflow.calibration import Request, run_calibration
+from loopcal.workflow.checking import run_simulation
 from loopcal.workflow.projects import new_project
-from loopcal.workflow.simulation import run_simulation
 from tests.refusals import refused
 
 

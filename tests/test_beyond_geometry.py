@@ -22,8 +22,7 @@ from loopcal.files.tables.readers import read_dataset
 from loopcal.statistics.models import compare_models
 from loopcal.statistics.outliers import find_outliers
 from loopcal.workflow.calibration import Request, run_calibration
-from loopcal.workflow.checking import run_prediction
-from loopcal.workflow.simulation import run_simulation
+from loopcal.workflow.checking import run_prediction, run_simulation
 from tests.command_line import run_here as run
 from tests.refusals import refused
 

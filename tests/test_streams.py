@@ -20,7 +20,7 @@ import pytest
 
 from loopcal import Noise
 from loopcal.errors import Code
-from loopcal.estimation.stream import last_pass
+from loopcal.estimation.stream import calibrate as last_pass
 from loopcal.execution.cluster import Cluster
 from loopcal.execution.executor import Executor
 from loopcal.execution.local import Processes, Threads

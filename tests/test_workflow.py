@@ -11,8 +11,8 @@ import pytest
 from loopcal.errors import InputError
 from loopcal.files.result.result_file import read_result
 from loopcal.workflow.calibration import Listeners, Request, run_calibration
+from loopcal.workflow.checking import run_simulation
 from loopcal.workflow.projects import new_project, schema
-from loopcal.workflow.simulation import run_simulation
 from tests.refusals import refused
 
 LOOPS = """

@@ -47,11 +47,11 @@ if TYPE_CHECKING:
     from loopcal.companions.life.history import History as History
     from loopcal.companions.life.history_files import history as history
     from loopcal.companions.life.update_files import update as update
-    from loopcal.companions.performance.run import performance as performance
+    from loopcal.companions.performance.performance import performance as performance
     from loopcal.companions.performance.summary import Performance as Performance
     from loopcal.companions.planning.plan_files import plan as plan
     from loopcal.companions.planning.planned import Plan as Plan
-    from loopcal.companions.planning.program import plan_program as plan_program
+    from loopcal.companions.planning.plan_files import plan_program as plan_program
     from loopcal.companions.record.record import (
         Record as Record,
         record as record,
@@ -247,8 +247,7 @@ _HOME = {
     "workflow.result": ("Result", "write_result"),
     "companions.robot.export_files": ("Export", "export"),
     "companions.robot.correct_files": ("correct",),
-    "companions.planning.program": ("plan_program",),
-    "companions.performance.run": ("performance",),
+    "companions.performance.performance": ("performance",),
     "workflow.public": (
         *("calibrate", "check", "compare", "compare_methods", "compare_models", "find_outliers"),
         *("find_shifts", "findings", "intervals", "load_dataset", "predict"),
@@ -261,7 +260,7 @@ _HOME = {
     "companions.life.history_files": ("history",),
     "companions.life.history": ("History",),
     "workflow.saved_result": ("SavedResult", "read_result"),
-    "companions.planning.plan_files": ("plan",),
+    "companions.planning.plan_files": ("plan", "plan_program"),
     "companions.life.update_files": ("update",),
 }
 _NAMESPACES = ("effects", "instruments", "machines")

@@ -14,7 +14,7 @@ loopcal.errors.InputError: arm.toml: noise.theta_1: sd is -0.1 mrad; an sd canno
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from shlex import join
@@ -190,6 +190,29 @@ def unknown_name(
 ) -> InputError:
     """The error for a name that is none of those there are: what to do names the nearest."""
     return InputError(words, code="unknown-name", place=place, remedy=nearest(name, names))
+
+
+def refuse_repeated(
+    names: Iterable[str],
+    words: str,
+    remedy: str = "give each a unique name",
+    place: Callable[[int], object] = lambda _: None,
+) -> None:
+    """Raise InputError for the first name that stands among those before it.
+
+    words: the message, with {!r} for the name; place: of the name with this number, from 0.
+    """
+    before: set[str] = set()
+    for i, name in enumerate(names):
+        if name in before:
+            at = place(i)
+            raise InputError(
+                words.format(name),
+                code="duplicate-name",
+                place=None if at is None else str(at),
+                remedy=remedy,
+            )
+        before.add(name)
 
 
 @contextmanager

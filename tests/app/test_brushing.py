@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from loopcal.companions.app import words
+from loopcal.companions.app.beside import SIZE
 from loopcal.companions.app.pictures import Errors
-from loopcal.companions.app.sizes import SIZE
 from loopcal.report.source import read_source
 from tests.app.pointing import AT_REST, Hand, new_page
 from tests.app.serving import Served

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from loopcal.companions.app.capsules import THICK, capsules, vertices
 from loopcal.companions.app.pictures import Errors, machine_figure
-from loopcal.companions.app.scene import Scene
+from loopcal.companions.app.scene import THICK, Scene, capsules, vertices
 from loopcal.files.machines.registry import machine_type
 from loopcal.report.source import read_source
 from tests.command_line import run_here as run

@@ -10,7 +10,7 @@ import pytest
 
 from loopcal.companions.app.project_folder import LOG, NAME, FolderLock, ProjectFolder
 from loopcal.companions.app.session import Session
-from loopcal.companions.robot.programs.joint_axes import JointAxes
+from loopcal.companions.robot.programs.coordinates import JointAxes
 from loopcal.companions.robot.programs.registry import BY_ENDING as PROGRAMS
 from loopcal.companions.robot.programs.registry import read_program
 from loopcal.errors import InputError

@@ -9,10 +9,10 @@ from typing import cast
 import numpy as np
 import pytest
 
+from loopcal.companions.app.beside import SIZE, errors_by_name
 from loopcal.companions.app.pictures import Errors, joints_of
 from loopcal.companions.app.predicting import Probe
 from loopcal.companions.app.session import Session
-from loopcal.companions.app.sizes import SIZE, errors_by_name
 from loopcal.companions.app.view import View
 from loopcal.companions.app.views.data import corners_read
 from loopcal.companions.app.views.deploy import limbs_of

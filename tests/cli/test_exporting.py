@@ -10,7 +10,7 @@ import pytest
 
 import loopcal as lc
 from loopcal.cli.run import main
-from loopcal.companions.robot.export_commands import _counts
+from loopcal.companions.robot.commands import _counts
 from loopcal.companions.robot.exports.registry import EXPORTS
 from tests.command_line import run_here as run
 from tests.refusals import refused

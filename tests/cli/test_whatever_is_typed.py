@@ -17,7 +17,7 @@ import pytest
 from analyses.hostile_inputs import PYTHON, VALUES
 from loopcal.cli import main
 from loopcal.companions.life.history_files import history
-from loopcal.companions.life.history_folder import append_entry, read_entries
+from loopcal.companions.life.history_folder import append_entries, read_entries
 from loopcal.companions.life.pages import history_html
 from loopcal.errors import InputError
 from loopcal.files.machines.mechanism_file import mechanism_from_data
@@ -91,7 +91,7 @@ def entries(tmp_path: Path) -> Path:
     its = {"value": 1.0, "sd": 0.1, "unit": "m", "kind": "length"}
     content = {"words": "valid", "rms": 1e-4, "unit": "m", "parameters": {"a": its}}
     for _ in range(3):
-        append_entry(folder, "calibration", content)
+        append_entries(folder, [("calibration", content)])
     return folder
 
 

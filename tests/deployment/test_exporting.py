@@ -11,7 +11,7 @@ import loopcal as lc
 from loopcal.companions.robot import correct_files, export_files, exporting
 from loopcal.companions.robot.exporting import exported
 from loopcal.companions.robot.refit import Goal, refit, seen_points, separable, traced
-from loopcal.files.project.new_readings import computed_joints
+from loopcal.files.project.project_data import computed_joints
 from loopcal.mechanisms.chain import product
 from loopcal.statistics.predictor import predictor
 from tests.refusals import refused

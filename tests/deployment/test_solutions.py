@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from analyses import corrected as loops
 from analyses.gauntlet_truth import drawn
-from loopcal.companions.robot import solutions as module
+from loopcal.companions.robot import inverse as module
 from loopcal.companions.robot.arms import ArmPose, Arms, arms_of
+from loopcal.companions.robot.inverse import solutions
 from loopcal.companions.robot.rigid import tool_of
-from loopcal.companions.robot.solutions import solutions
 
 Array = NDArray[np.float64]
 NAMES = ["six-axis", "UR-like", "SCARA"]

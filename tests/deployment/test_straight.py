@@ -11,7 +11,7 @@ import loopcal as lc
 from analyses import corrected as loops
 from analyses.gauntlet_truth import drawn
 from loopcal.companions.robot.inverse import solve
-from loopcal.companions.robot.programs.joint_axes import JointAxes
+from loopcal.companions.robot.programs.coordinates import JointAxes
 from loopcal.companions.robot.programs.registry import read_program
 from loopcal.companions.robot.rigid import between, moved
 

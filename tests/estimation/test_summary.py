@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import loopcal as lc
-from loopcal.document.parts import Parts
+from loopcal.document.result_document import Parts
 from loopcal.document.tables import parameter_table
 from loopcal.estimation.accuracy import Accuracy
 from loopcal.estimation.calibrate import calibrate

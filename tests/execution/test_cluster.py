@@ -20,7 +20,7 @@ import pytest
 
 import loopcal as lc
 from loopcal.cli.progress import executor_of, try_cluster
-from loopcal.companions.studies import study_parts
+from loopcal.companions.studies import run as study_run
 from loopcal.companions.studies.run import run_study
 from loopcal.errors import Code
 from loopcal.execution.cluster import Cluster, _Opening, versions
@@ -60,7 +60,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaskCluster]:
 
 @pytest.fixture
 def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(study_parts, "CHUNK", 10)
+    monkeypatch.setattr(study_run, "CHUNK", 10)
     path = tmp_path / "s.toml"
     path.write_text(STUDY, "utf-8")
     return path

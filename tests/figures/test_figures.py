@@ -8,9 +8,14 @@ import numpy as np
 import plotly.graph_objects as go
 import pytest
 
-from loopcal.figures.accuracy import distance_histogram, over_poses
 from loopcal.figures.figure import COLOURS, Figure, colours, numbers, thinned
-from loopcal.figures.sensors import correlations, drift, normalised
+from loopcal.figures.residuals import (
+    correlations,
+    distance_histogram,
+    drift,
+    normalised,
+    over_poses,
+)
 from loopcal.figures.space import Machine, arrows
 
 RANDOM = np.random.default_rng(3)

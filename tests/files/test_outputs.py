@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from loopcal.files.atomic import write_all, write_atomic, write_files
-from loopcal.files.json_writer import marked_json
+from loopcal.files.json_files import marked_json
 from loopcal.files.outputs import command, refuse_foreign
 from loopcal.files.tables.raw import bytes_of
 from tests.refusals import refused

@@ -10,7 +10,7 @@ from scipy.linalg import null_space
 
 import loopcal as lc
 from analyses.followed import Days, rigidly
-from loopcal.companions.life.conditions import drift_of_conditions
+from loopcal.companions.life.drift import drift_of_conditions
 from loopcal.statistics.another_day import Day
 from loopcal.statistics.calibrated import Calibrated
 

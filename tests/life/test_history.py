@@ -11,7 +11,7 @@ import pytest
 
 import loopcal as lc
 from loopcal.companions.life.history import chart
-from loopcal.companions.life.history_folder import append_entry, read_entries
+from loopcal.companions.life.history_folder import append_entries, read_entries
 from loopcal.companions.life.pages import history_figures, history_html
 from loopcal.estimation.result import UPDATED
 from tests.command_line import run_here as run
@@ -39,11 +39,11 @@ def _add(folder: Path, values: dict[str, float], day: float | None, unit: str = 
     if day is not None:
         text = f"{BEGIN + timedelta(days=day):%Y-%m-%d}"
         content["measured"] = {"first": text, "last": text}
-    append_entry(folder, "calibration", content)
+    append_entries(folder, [("calibration", content)])
 
 
 def _event(folder: Path, words: str, day: float) -> None:
-    append_entry(folder, "event", {"words": words}, time=BEGIN + timedelta(days=day))
+    append_entries(folder, [("event", {"words": words})], time=BEGIN + timedelta(days=day))
 
 
 def test_a_history_states_the_drift_since_its_last_calibration(tmp_path: Path) -> None:
@@ -125,7 +125,7 @@ def _joint(folder: Path, values: tuple[float, float], day: float, model: str = "
     text = f"{BEGIN + timedelta(days=day):%Y-%m-%d}"
     measured = {"first": text, "last": text}
     content = {"words": "ok", "rms": None, "parameters": its, "joint": joint, "model": [model]}
-    append_entry(folder, "calibration", {**content, "measured": measured})
+    append_entries(folder, [("calibration", {**content, "measured": measured})])
 
 
 def _days_of_two(folder: Path, model: str = "") -> None:
@@ -186,7 +186,7 @@ def test_an_entry_that_says_nothing_of_its_parameters_together_is_skipped(
     _joint(tmp_path, (0.5, 0.3), 0.0)
     (entry,) = read_entries(tmp_path).whole
     joint = {**entry.content["joint"], key: value}
-    append_entry(tmp_path, "calibration", {**entry.content, "joint": joint})
+    append_entries(tmp_path, [("calibration", {**entry.content, "joint": joint})])
     assert len(read_entries(tmp_path).skipped) == 1
 
 

@@ -15,7 +15,7 @@ import pytest
 
 import loopcal as lc
 from analyses.planning import beside_random, cases, kept
-from loopcal.companions.robot.programs.joint_axes import JointAxes
+from loopcal.companions.robot.programs.coordinates import JointAxes
 from loopcal.companions.robot.programs.registry import read_program
 from loopcal.mechanisms.planar import planar_two_link
 from tests.command_line import run_here as run

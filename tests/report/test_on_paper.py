@@ -22,7 +22,7 @@ from loopcal.companions.studies.run import run_study
 from loopcal.execution.executor import InProcess
 from loopcal.figures.space import FIELD, space_layout
 from loopcal.presentation.shown import Table
-from loopcal.report.section import Section, section_page
+from loopcal.report.templates import Section, section_page
 from loopcal.report.verification_page import verification_html
 from loopcal.workflow.result import write_result
 from tests.browser import chromium, opened

@@ -15,7 +15,7 @@ from loopcal.companions.life.fleet import Fleet
 from loopcal.companions.life.fleet_files import run_fleet
 from loopcal.companions.life.history import History
 from loopcal.companions.life.history_files import run_history
-from loopcal.companions.life.other_days import other_days
+from loopcal.companions.life.pages import other_days
 from loopcal.companions.life.report_sections import sections
 from loopcal.companions.life.update_files import run_update
 from loopcal.figures.figure import Figure

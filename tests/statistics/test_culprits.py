@@ -9,7 +9,7 @@ import loopcal as lc
 from loopcal.document.accuracy import Distances
 from loopcal.document.choice import Candidate
 from loopcal.document.fit import NoiseEntry
-from loopcal.document.parts import Parts
+from loopcal.document.result_document import Parts
 from loopcal.document.tables import culprit_table, culprit_words
 from loopcal.estimation.fit import Fit
 from loopcal.statistics.case import Case

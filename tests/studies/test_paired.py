@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from loopcal.companions.studies.paired import binomial_interval, paired
+from loopcal.companions.studies.tables import binomial_interval, paired
 
 
 @pytest.mark.parametrize(("wins", "draws"), [(0, 20), (20, 20), (7, 20), (970, 1000)])

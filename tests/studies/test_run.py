@@ -14,7 +14,7 @@ import polars as pl
 import pytest
 
 import loopcal as lc
-from loopcal.companions.studies import study_parts
+from loopcal.companions.studies import run as study_run
 from loopcal.companions.studies.draws import run_draws, seed_of
 from loopcal.companions.studies.run import run_study
 from loopcal.companions.studies.study_file import read_study
@@ -65,7 +65,7 @@ def path(tmp_path: Path) -> Path:
 def test_workers_and_interruptions_change_no_value(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(study_parts, "CHUNK", 10)
+    monkeypatch.setattr(study_run, "CHUNK", 10)
     path.write_text(STUDY.replace("draws = 60", "draws = 20"), "utf-8")
     one = run_study(path, executor=InProcess(), out=tmp_path / "one")
     two = run_study(path, executor=Processes(2), out=tmp_path / "two")

@@ -16,7 +16,7 @@ from loopcal.cli.reporting import run_report
 from loopcal.companions.robot.correct_files import run_correct
 from loopcal.companions.robot.export_files import run_export
 from loopcal.companions.robot.inverse import solve
-from loopcal.companions.robot.programs.poses_text import turns_of_pose
+from loopcal.companions.robot.programs.coordinates import turns_of_pose
 from loopcal.companions.robot.programs.registry import MARK
 from loopcal.files.outputs import command
 from loopcal.mechanisms.rotations import quaternions

@@ -15,8 +15,8 @@ import loopcal as lc
 from loopcal.companions.robot.exports.registry import EXPORTS
 from loopcal.errors import InputError
 from loopcal.workflow.calibration import Request, run_calibration
+from loopcal.workflow.checking import run_simulation
 from loopcal.workflow.projects import new_project
-from loopcal.workflow.simulation import run_simulation
 from tests.refusals import refused
 
 INERTIAL = """<inertial><origin xyz="0.01 -0.02 0.3" rpy="0.1 0.2 -0.3"/><mass value="{mass}"/>

@@ -159,7 +159,7 @@ def test_what_needs_the_fit_calibrates_a_project_and_refuses_a_folder(folder: Pa
 
 
 def test_simulation_of_a_project_is_that_of_the_command_line(tmp_path: Path) -> None:
-    from loopcal.workflow.simulation import run_simulation
+    from loopcal.workflow.checking import run_simulation
 
     written = run_simulation(EXAMPLE, out=tmp_path / "poses.csv", seed=3).simulation
     made = lc.simulate(EXAMPLE, seed=3)

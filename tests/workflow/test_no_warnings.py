@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from loopcal.cli import run
+from loopcal.workflow.checking import run_simulation
 from loopcal.workflow.projects import new_project
-from loopcal.workflow.simulation import run_simulation
 
 Table = list[list[str]]
 

@@ -12,8 +12,8 @@ from loopcal.errors import InputError
 from loopcal.report.source import read_source
 from loopcal.statistics.continued import Ending
 from loopcal.workflow.calibration import Calibration, run_calibration
+from loopcal.workflow.checking import run_simulation
 from loopcal.workflow.projects import new_project, run_refit
-from loopcal.workflow.simulation import run_simulation
 
 pytest.importorskip("tomlkit", reason="tomlkit is absent; `pip install .[app]` installs it")
 

@@ -286,7 +286,7 @@ def noise(
     mechanism: FunctionOption = None,
 ) -> None:
     """Estimate sensor sds from repeated readings of one pose, separating drift from scatter."""
-    from loopcal.workflow.simulation import sensor_noise
+    from loopcal.workflow.checking import sensor_noise
 
     done = sensor_noise(files, project=project, columns=columns, pose=pose, function=mechanism)
     print_done(done, as_json, text=done.text)
@@ -302,7 +302,7 @@ def simulate(
     mechanism: FunctionOption = None,
 ) -> None:
     """Simulate readings of the project's mechanism with its noise; write the truth beside them."""
-    from loopcal.workflow.simulation import run_simulation
+    from loopcal.workflow.checking import run_simulation
 
     done = run_simulation(project, out=out, seed=seed, function=mechanism)
     poses = len(done.simulation.dataset)

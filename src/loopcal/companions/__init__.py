@@ -14,7 +14,7 @@ CALLED = {
     "correct": "robot.correct_files",
     "cure_of": "planning.cure",
     "export": "robot.export_files",
-    "new_performance": "performance.run",
+    "new_performance": "performance.performance",
     "sections": "life.report_sections",
     "tool_poses": "robot.correct_files",
 }

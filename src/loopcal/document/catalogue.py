@@ -10,9 +10,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from functools import partial
 
-from loopcal.document.another_day import ANOTHER_DAY
+from loopcal.document.another_day import ANOTHER_DAY, TWO_MACHINES
 from loopcal.document.of_images import OF_IMAGES
-from loopcal.document.two_machines import TWO_MACHINES
 from loopcal.document.verdict import SEVERITIES, Fact, Finding, Row
 
 _AGAIN, _CHECK = "loopcal calibrate {project}", "loopcal check {project}"

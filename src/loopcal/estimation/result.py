@@ -15,8 +15,7 @@ from loopcal.document.change_points import Dependence
 from loopcal.document.choice import Chosen, TermEntry
 from loopcal.document.findings import ColumnFault, Identifiability
 from loopcal.document.fit import ChiSquared, NoiseEntry
-from loopcal.document.parts import Parts
-from loopcal.document.result_document import DataEntry
+from loopcal.document.result_document import DataEntry, Parts
 from loopcal.errors import InputError
 from loopcal.estimation.accuracy import Accuracy, Apart, accuracy, deviations
 from loopcal.estimation.all_poses import AllPoses

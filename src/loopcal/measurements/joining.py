@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.arrays import Array
-from loopcal.errors import InputError
+from loopcal.errors import InputError, refuse_repeated
 from loopcal.measurements.dataset import Dataset
 
 
@@ -128,13 +128,9 @@ def _refuse_doubles(parts: Sequence[Dataset]) -> None:
                     remedy="name its column for one of the two files",
                 )
             read[quantity] = name
-        seen: set[str] = set()
-        for i, pose in enumerate(part.poses):
-            if pose in seen:
-                raise InputError(
-                    f"the pose {pose!r} occurs twice, but readings are joined by pose",
-                    code="duplicate-name",
-                    place=part.place(i),
-                    remedy="give every pose a unique id, or average the repeated readings",
-                )
-            seen.add(pose)
+        refuse_repeated(
+            part.poses,
+            "the pose {!r} occurs twice, but readings are joined by pose",
+            "give every pose a unique id, or average the repeated readings",
+            part.place,
+        )

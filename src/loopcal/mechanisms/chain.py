@@ -23,7 +23,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError
+from loopcal.errors import InputError, refuse_repeated
 from loopcal.expressions.vectors import PLANES, rotate, vector
 from loopcal.keys import Key
 from loopcal.mechanisms.parameters import Parameter, Role
@@ -49,13 +49,7 @@ def refuse_long_chain(joints: int) -> None:
 def check_joints(names: Sequence[str]) -> None:
     """Raise InputError for a chain of more than 64 joints, and for two of one name."""
     refuse_long_chain(len(names))
-    for joint in names:
-        if names.count(joint) > 1:
-            raise InputError(
-                f"two joints are named {joint!r}",
-                code="duplicate-name",
-                remedy="give each a unique name",
-            )
+    refuse_repeated(names, "two joints are named {!r}")
 
 
 @dataclass(frozen=True)

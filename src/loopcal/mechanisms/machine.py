@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn, ParamSpec, get_type_
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError, nearest
+from loopcal.errors import InputError, nearest, refuse_repeated
 from loopcal.expressions.tape import Tape
 from loopcal.expressions.trace import trace
 from loopcal.keys import Key, described
@@ -296,8 +296,11 @@ def assemble(
     instruments = [_looking(machine, i) for i in instruments]
     ends = max((i.ends for i in instruments), default=1)
     quantities = {q + end: u for end in ENDS[:ends] for q, u in machine.quantities.items()}
-    _refuse_repeated([*quantities, *(q for i in instruments for q in i.readings)])
-    _refuse_repeated([i.name for i in instruments], "instruments")
+    readings = [*quantities, *(q for i in instruments for q in i.readings)]
+    refuse_repeated(readings, "two readings of the mechanism are named {!r}")
+    refuse_repeated(
+        [i.name for i in instruments], "two instruments of the mechanism are named {!r}"
+    )
     _refuse_misfits(machine, instruments)
     closure = [loop + end for end in ENDS[:ends] for loop in machine.loops]
     pose_constants = {
@@ -500,16 +503,6 @@ def _home(machine: Machine, ends: int) -> dict[str, float]:
         for number, end in enumerate(ENDS[:ends])
         for q, v in machine.home.items()
     }
-
-
-def _refuse_repeated(names: Sequence[str], what: str = "readings") -> None:
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(
-                f"two {what} of the mechanism are named {name!r}",
-                code="duplicate-name",
-                remedy="give each a unique name",
-            )
 
 
 def _refuse_misfits(machine: Machine, instruments: Sequence[Instrument]) -> None:

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from typing import Any, Literal, Protocol, cast, get_args
 
-from loopcal.errors import InputError, unknown_name
+from loopcal.errors import InputError, refuse_repeated, unknown_name
 from loopcal.lazy import cached_property
 from loopcal.units import to_si, unit
 
@@ -124,15 +124,9 @@ class Parameters:
     items: tuple[Parameter, ...]
 
     def __post_init__(self) -> None:
-        seen: set[str] = set()
-        for parameter in self.items:
-            if parameter.name in seen:
-                raise InputError(
-                    f"parameter {parameter.name!r} is declared twice",
-                    code="duplicate-name",
-                    remedy="name each once",
-                )
-            seen.add(parameter.name)
+        refuse_repeated(
+            (p.name for p in self.items), "parameter {!r} is declared twice", "name each once"
+        )
         if any(p.same for p in self.items):
             object.__setattr__(self, "items", tuple([self._following(p) for p in self.items]))
 

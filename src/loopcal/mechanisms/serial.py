@@ -21,7 +21,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
-from loopcal.errors import InputError, unknown_name
+from loopcal.errors import InputError, refuse_repeated, unknown_name
 from loopcal.keys import Key
 from loopcal.mechanisms.chain import MOTIONS, JointName, Step, chain_parameters, refuse_long_chain
 from loopcal.mechanisms.frame import ChainFrame
@@ -251,10 +251,5 @@ def serial_arm(
 
 def _check_distinct(names: Sequence[str]) -> None:
     """Joints and coordinates are read apart, so no two of them may share a name."""
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(
-                f"{name!r} names two readings of the arm (joints and measured coordinates)",
-                code="duplicate-name",
-                remedy="give every joint and every coordinate a unique name",
-            )
+    words = "{!r} names two readings of the arm (joints and measured coordinates)"
+    refuse_repeated(names, words, "give every joint and every coordinate a unique name")

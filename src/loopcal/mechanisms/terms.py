@@ -14,7 +14,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from loopcal.errors import InputError, unknown_name
+from loopcal.errors import InputError, refuse_repeated, unknown_name
 from loopcal.mechanisms.parameters import Parameter, Parameters
 
 
@@ -72,13 +72,9 @@ def check_terms(terms: Sequence[Term], parameters: Parameters) -> None:
     owner: dict[str, str] = {}
     place = {p.name: i for i, p in enumerate(parameters)}
     units = {p.name: p.unit for p in parameters}
+    called = "two terms are called {!r}"
+    refuse_repeated((term.name for term in terms), called, "give each a name of its own")
     for term in terms:
-        if sum(other.name == term.name for other in terms) > 1:
-            raise InputError(
-                f"two terms are called {term.name!r}",
-                code="duplicate-name",
-                remedy="give each a name of its own",
-            )
         for name in term.parameters:
             if name not in units:
                 raise unknown_name(

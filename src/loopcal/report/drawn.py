@@ -10,9 +10,16 @@ from loopcal.arrays import Array
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import shown_parameters
 from loopcal.estimation.accuracy import Apart, by_pose, deviations, main_distances
-from loopcal.figures.accuracy import distance_histogram, over_poses
 from loopcal.figures.figure import Figure, colours
-from loopcal.figures.sensors import Change, changes, correlations, drift, normalised
+from loopcal.figures.residuals import (
+    Change,
+    changes,
+    correlations,
+    distance_histogram,
+    drift,
+    normalised,
+    over_poses,
+)
 from loopcal.figures.space import Machine, arrows
 from loopcal.mechanisms.mechanism import PIXELS, Family
 from loopcal.mechanisms.skeleton import skeleton, skeleton_labels

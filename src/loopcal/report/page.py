@@ -24,10 +24,9 @@ from loopcal.files.atomic import write_atomic
 from loopcal.report import tables, top
 from loopcal.report.drawn import distances, figures
 from loopcal.report.images import OF_IMAGES, image_table
-from loopcal.report.section import Section
 from loopcal.report.source import Source, read_source, source_of
 from loopcal.report.tables import parameter_cells, parameter_head
-from loopcal.report.templates import CELL, page
+from loopcal.report.templates import CELL, Section, page
 
 SectionsOf = Callable[[Source], Iterable[Section]]
 """What a report says of a result beyond the calibration."""

@@ -8,7 +8,7 @@ from loopcal.figures.life import (
     changes,
 )
 from loopcal.presentation.shown import Table, in_unit, unit_shown
-from loopcal.report.section import Part, Section, section_page
+from loopcal.report.templates import Part, Section, section_page
 from loopcal.statistics.changed import WhatChanged
 from loopcal.statistics.verified import Verification
 

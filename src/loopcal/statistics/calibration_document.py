@@ -7,8 +7,7 @@ from dataclasses import replace
 from loopcal.document.accuracy import AccuracyEntry, Distances
 from loopcal.document.change_points import ChangePoints
 from loopcal.document.fit import ParameterEntry
-from loopcal.document.parts import Parts
-from loopcal.document.result_document import ResultDocument
+from loopcal.document.result_document import Parts, ResultDocument
 from loopcal.statistics.findings import Findings
 
 

@@ -13,8 +13,8 @@ from loopcal.presentation.shown import with_unit
 from loopcal.simulation.simulate import Simulation, simulate
 from loopcal.statistics.prediction import predict
 from loopcal.workflow.calibration import Calibration, Request, run_calibration
+from loopcal.workflow.checking import run_simulation
 from loopcal.workflow.projects import named_project, new_project
-from loopcal.workflow.simulation import run_simulation
 
 
 @dataclass(frozen=True, eq=False)

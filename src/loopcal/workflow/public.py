@@ -48,11 +48,11 @@ from loopcal.statistics.validation import Validation
 from loopcal.statistics.verified import Verification
 from loopcal.workflow.beginning.initial import init
 from loopcal.workflow.calibration import calibrated
+from loopcal.workflow.checking import simulated
 from loopcal.workflow.readings import Units, later_readings
 from loopcal.workflow.resolved import Stated, described, fitted, result_of, stated
 from loopcal.workflow.result import Result
 from loopcal.workflow.saved_result import SavedResult
-from loopcal.workflow.simulation import simulated
 
 Output = TypeVar("Output")
 Described = TypeVar("Described", bound=Callable[..., Any])

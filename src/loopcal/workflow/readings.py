@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.estimation.result import FitResult
 from loopcal.files.cameras.folder import are_images
-from loopcal.files.project.new_readings import (
+from loopcal.files.project.project_data import (
     read_new_readings,
     reads,
     result_columns,

@@ -11,8 +11,7 @@ from loopcal.errors import InputError, Unfinished
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.solver import Progress
-from loopcal.estimation.stream.calibrate import calibrate_stream, refuse_unstreamable
-from loopcal.estimation.stream.last_pass import Parts
+from loopcal.estimation.stream.calibrate import Parts, calibrate_stream, refuse_unstreamable
 from loopcal.execution.executor import Executor
 from loopcal.files.project.project_file import Project
 from loopcal.files.project.stream import ParquetStream

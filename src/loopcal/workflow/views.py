@@ -14,7 +14,7 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Verdict
 from loopcal.errors import InputError, nearest
 from loopcal.lazy import cached_property
-from loopcal.mechanisms.limb import limb
+from loopcal.mechanisms.bodies import limb
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -211,7 +211,7 @@ class Views:
 
     def to_json(self) -> str:
         """The content of result.json as text."""
-        from loopcal.files.json_writer import marked_json
+        from loopcal.files.json_files import marked_json
 
         return marked_json(self.to_dict())
 

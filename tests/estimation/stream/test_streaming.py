@@ -16,8 +16,7 @@ from loopcal.estimation.fit import Fit
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.checkpoint import Checkpoint
 from loopcal.estimation.stream import calibrate as learning
-from loopcal.estimation.stream.calibrate import calibrate_stream
-from loopcal.estimation.stream.last_pass import Parts
+from loopcal.estimation.stream.calibrate import Parts, calibrate_stream
 from loopcal.estimation.stream.merit import Chunk
 from loopcal.execution.executor import AHEAD, Executor
 from loopcal.execution.local import Processes, Threads
@@ -138,7 +137,7 @@ def test_every_chunk_is_handed_out_with_its_corrections() -> None:
 
 def test_a_chunk_may_hold_no_pose_to_be_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of every 50 poses the first is shown, and the last chunk has the last 41."""
-    monkeypatch.setattr("loopcal.estimation.stream.last_pass.SHOWN", 10)
+    monkeypatch.setattr("loopcal.estimation.stream.calibrate.SHOWN", 10)
     arm = planar_two_link()
     driven = random_poses({"phi2": (0.0, 3.0), "phi3": (0.3, 2.5)}, 500, seed=1)
     noise = Noise({"phi?": 1e-4, "*": 2e-5})
@@ -155,7 +154,7 @@ def with_y(data: Dataset, pose: str, y: float) -> Dataset:
 
 def test_a_pose_that_fits_badly_is_shown_and_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of 900 poses 90 are shown, and one that none of them tells of."""
-    monkeypatch.setattr("loopcal.estimation.stream.last_pass.SHOWN", 90)
+    monkeypatch.setattr("loopcal.estimation.stream.calibrate.SHOWN", 90)
     arm, data = arm_and_data()
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})
     good = calibrate_stream(arm, Pieces(data, noise))
@@ -175,7 +174,7 @@ def test_a_pose_that_fits_badly_is_shown_and_named(monkeypatch: pytest.MonkeyPat
 def test_those_shown_besides_say_nothing_of_all_the_others(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("loopcal.estimation.stream.last_pass.SHOWN", 90)
+    monkeypatch.setattr("loopcal.estimation.stream.calibrate.SHOWN", 90)
     arm, data = arm_and_data()
     wrong = with_y(data, "424", float(data["y"][423]) + 0.1)
     noise = Noise({"theta_*": 5e-5, "xyz": 1e-5})

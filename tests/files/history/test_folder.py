@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from analyses.history_kills import killed
-from loopcal.companions.life.history_folder import append_entry, read_entries
+from loopcal.companions.life.history_folder import append_entries, read_entries
 from loopcal.files.tables import raw
 from tests.refusals import refused
 
@@ -20,7 +20,7 @@ NOON = datetime(2026, 5, 4, 12, 0, tzinfo=UTC)
 
 def test_entries_are_read_in_their_order_and_without_loopcal(tmp_path: Path) -> None:
     for words in ("belt changed", "collision"):
-        append_entry(tmp_path / "m.history", "event", {"words": words}, time=NOON)
+        append_entries(tmp_path / "m.history", [("event", {"words": words})], time=NOON)
     found = read_entries(tmp_path / "m.history")
     assert [entry.content["words"] for entry in found.whole] == ["belt changed", "collision"]
     assert [entry.file for entry in found.whole] == [
@@ -35,12 +35,17 @@ def test_entries_are_read_in_their_order_and_without_loopcal(tmp_path: Path) -> 
 
 @pytest.mark.parametrize("damage", ["", "{", "[]", "5", "[" * 100_000, '{"schema": 1}'])
 def test_damaged_entries_are_named_and_skipped(tmp_path: Path, damage: str) -> None:
-    entries = [append_entry(tmp_path, "event", {"words": str(i)}, time=NOON) for i in range(3)]
+    entries = [
+        append_entries(tmp_path, [("event", {"words": str(i)})], time=NOON).whole[-1]
+        for i in range(3)
+    ]
     (tmp_path / entries[1].file).write_text(damage)
     found = read_entries(tmp_path)
     assert [entry.sequence for entry in found.whole] == [1, 3]
     assert [one.file for one in found.skipped] == [entries[1].file]
-    assert append_entry(tmp_path, "event", {"words": "next"}, time=NOON).sequence == 4
+    assert (
+        append_entries(tmp_path, [("event", {"words": "next"})], time=NOON).whole[-1].sequence == 4
+    )
     assert (tmp_path / entries[1].file).read_text() == damage
 
 
@@ -55,7 +60,7 @@ def test_a_device_and_a_silent_pipe_among_the_entries_are_skipped(
 
 
 def test_a_changed_number_is_noticed(tmp_path: Path) -> None:
-    entry = append_entry(tmp_path, "event", {"words": "5"}, time=NOON)
+    entry = append_entries(tmp_path, [("event", {"words": "5"})], time=NOON).whole[-1]
     path = tmp_path / entry.file
     path.write_text(path.read_text().replace('"5"', '"6"'))
     assert "SHA-256" in read_entries(tmp_path).skipped[0].reason

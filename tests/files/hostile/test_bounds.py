@@ -13,12 +13,12 @@ import pytest
 
 from analyses.hostile_inputs import doubling_schema
 from loopcal.companions.record.xml_schema import check_against
-from loopcal.companions.robot.programs.joint_axes import JointAxes
+from loopcal.companions.robot.programs.coordinates import JointAxes
 from loopcal.companions.robot.programs.registry import read_program
 from loopcal.errors import InputError, LoopcalError
 from loopcal.files import guarded as module
 from loopcal.files.guarded import Stopped, guarded
-from loopcal.files.json_reader import read_json
+from loopcal.files.json_files import read_json
 from loopcal.files.machines import safe_xml, urdf
 from loopcal.files.machines.python_function import load_function
 from loopcal.files.machines.urdf import branches

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from loopcal import Joint, Processes, Threads, serial_arm
-from loopcal.companions.studies.study_parts import parts_of
-from loopcal.files.json_reader import read_json
+from loopcal.companions.studies.run import parts_of
+from loopcal.files.json_files import read_json
 from loopcal.files.machines.mechanism_file import read_mechanism
 from loopcal.files.machines.urdf import urdf_machine
 from loopcal.mechanisms.chain import MOST_JOINTS

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from loopcal import InputError, read_dataset
-from loopcal.companions.robot.programs.joint_axes import JointAxes
+from loopcal.companions.robot.programs.coordinates import JointAxes
 from loopcal.companions.robot.programs.registry import read_program
 from loopcal.files.recognition.sources import sources_of
 from loopcal.files.tables import raw

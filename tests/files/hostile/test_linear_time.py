@@ -15,7 +15,7 @@ from analyses.hostile_inputs import FRAGMENTS
 from loopcal import errors
 from loopcal.companions.robot.exports import ur
 from loopcal.companions.robot.programs import program
-from loopcal.companions.robot.programs.joint_axes import JointAxes
+from loopcal.companions.robot.programs.coordinates import JointAxes
 from loopcal.companions.robot.programs.registry import BY_ENDING, DIALECTS
 from loopcal.errors import InputError, LoopcalError
 from loopcal.files.recognition import headers

@@ -10,8 +10,7 @@ import pytest
 
 import loopcal as lc
 from loopcal.files.machines import meshes
-from loopcal.files.machines.drawn_links import read_links
-from loopcal.files.machines.meshes import box, mesh_file, read_mesh, simplified
+from loopcal.files.machines.meshes import box, mesh_file, read_links, read_mesh, simplified
 from tests.mechanisms.test_branches import JOINTS, dual_arm
 from tests.refusals import refused
 

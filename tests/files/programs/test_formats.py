@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from loopcal.companions.robot.programs.coordinates import JointAxes
 from loopcal.companions.robot.programs.copying import inserted
-from loopcal.companions.robot.programs.joint_axes import JointAxes
 from loopcal.companions.robot.programs.program import Move, Program
 from loopcal.companions.robot.programs.registry import BY_ENDING, read_program
 from loopcal.errors import InputError

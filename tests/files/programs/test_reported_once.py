@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from loopcal.companions.robot.programs.joint_axes import JointAxes
+from loopcal.companions.robot.programs.coordinates import JointAxes
 from loopcal.companions.robot.programs.program import Program
 from loopcal.companions.robot.programs.registry import read_program
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopcal.companions.planning.program import program_of_stops
-from loopcal.companions.robot.programs.joint_axes import JointAxes
+from loopcal.companions.planning.plan_files import program_of_stops
+from loopcal.companions.robot.programs.coordinates import JointAxes
 from loopcal.companions.robot.programs.registry import WRITTEN, read_program
 from tests.refusals import refused
 

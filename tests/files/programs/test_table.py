@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loopcal.companions.robot.programs.joint_axes import JointAxes
+from loopcal.companions.robot.programs.coordinates import JointAxes
 from loopcal.companions.robot.programs.program import Program, text_of, written
 from loopcal.companions.robot.programs.table import read_table
-from loopcal.files.tables.columns import Column
+from loopcal.files.tables.readers import Column
 from tests.refusals import refused
 
 AXES = JointAxes({"a": "rad", "z": "m"}, {"a": Column("A", "deg"), "z": Column("Z", "mm")})

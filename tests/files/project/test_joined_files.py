@@ -13,7 +13,7 @@ from loopcal.files.project.project_file import read_project
 from loopcal.files.tables import delimited
 from loopcal.files.tables.raw import Text, read_text
 from loopcal.workflow.calibration import Request, run_calibration
-from loopcal.workflow.simulation import run_simulation
+from loopcal.workflow.checking import run_simulation
 from tests.refusals import refused
 
 MECHANISM = """

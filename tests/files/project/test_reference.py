@@ -9,13 +9,12 @@ import pytest
 
 from loopcal.companions.studies.study_file import MethodTable, Published, ScenarioTable, StudyTables
 from loopcal.files.machines.parameter_entries import StatedParameter, StatedPrior
-from loopcal.files.project.data_table import DataColumn, DataTable
+from loopcal.files.project.data_table import DataColumn, DataTable, SourceInstrument, SourceTable
 from loopcal.files.project.fit_table import FitTable, Validation
 from loopcal.files.project.noise_table import StatedNoise
 from loopcal.files.project.plan_table import PlanTable, VerdictTable, sight, span
 from loopcal.files.project.project_schema import ModelTable, ProjectTables, RecordTable
 from loopcal.files.project.simulation_table import SimulationTable, driven_range
-from loopcal.files.project.source_table import SourceInstrument, SourceTable
 from loopcal.keys import arguments
 from loopcal.measurements.datasheet import Tracker, encoder_sd
 from tests.key_tables import REFERENCE, assert_stated, named

@@ -10,7 +10,7 @@ import pytest
 from loopcal.errors import InputError
 from loopcal.files.project.project_file import read_project
 from loopcal.files.project.simulation_table import SimulationSettings
-from loopcal.workflow.simulation import simulated
+from loopcal.workflow.checking import simulated
 from tests.refusals import refused
 
 HEAD = 'schema = 1\n[mechanism]\ntype = "planar-two-link"\n[noise]\n"*" = 1e-3\n[simulation]\n'

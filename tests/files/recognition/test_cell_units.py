@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from loopcal.files.recognition.cell_units import with_units_in_names
+from loopcal.files.recognition.framed import with_units_in_names
 from loopcal.files.tables.table import Table
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from loopcal.files.recognition.dh_table import is_dh, read_dh
-from loopcal.files.recognition.robot_calls import called_robot
+from loopcal.files.recognition.robot_listings import called_robot
 
 ROWS = [  # a [m], d [m], alpha [rad], offset [rad]
     (0.15, 0.445, -np.pi / 2, 0.0),

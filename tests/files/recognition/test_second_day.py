@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from loopcal.files.project.new_readings import read_new_readings
+from loopcal.files.project.project_data import read_new_readings
 from loopcal.files.project.project_file import read_project
 from loopcal.workflow.beginning.initial import initial_project
 from loopcal.workflow.beginning.robot_file import RobotFile

@@ -8,8 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from loopcal.files.tables.columns import Column
-from loopcal.files.tables.readers import read_dataset
+from loopcal.files.tables.readers import Column, read_dataset
 from loopcal.measurements.checks import check_dataset
 from tests.refusals import refused
 

@@ -13,9 +13,8 @@ from hypothesis import strategies as st
 
 from loopcal.errors import InputError
 from loopcal.files.tables import parquet
-from loopcal.files.tables.columns import Column
 from loopcal.files.tables.parquet import read_parquet
-from loopcal.files.tables.readers import column_labels, read_dataset
+from loopcal.files.tables.readers import Column, column_labels, read_dataset
 from tests.refusals import refused
 
 

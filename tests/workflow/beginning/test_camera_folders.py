@@ -23,7 +23,7 @@ from loopcal.files.cameras.corners import read_corners
 from loopcal.files.cameras.places import read_places
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.statistics.case import nominal_machine
-from loopcal.workflow.beginning.matching import matched
+from loopcal.workflow.beginning.from_images import matched
 from tests.mechanisms.test_camera import LENS, POINTS, hands, pixels
 from tests.refusals import refused
 from tests.workflow.beginning.test_from_images import written

@@ -22,10 +22,10 @@ from analyses.layouts import (
     xyz,
 )
 from loopcal.errors import InputError
-from loopcal.files.project.new_readings import read_new_readings
-from loopcal.files.recognition.expressions import joint_columns
+from loopcal.files.project.project_data import read_new_readings
 from loopcal.files.recognition.fields import Field
 from loopcal.files.recognition.headers import heading
+from loopcal.files.recognition.joint_sets import joint_columns
 from loopcal.files.recognition.sources import listed_columns
 from tests.bags import motion
 from tests.refusals import refused

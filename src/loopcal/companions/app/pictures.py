@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.companions.app import words
-from loopcal.companions.app.beside import LeftOut
+from loopcal.companions.app.beside import SIZE, LeftOut, errors_by_name
 from loopcal.companions.app.scene import Scene, restyled
-from loopcal.companions.app.sizes import SIZE, errors_by_name
 from loopcal.figures.figure import axis, layout, names, numbers, spots, thinned, upright
 from loopcal.figures.space import arrow_lines, enlargement
-from loopcal.files.machines.drawn_links import DrawnLinks
+from loopcal.files.machines.meshes import DrawnLinks
 from loopcal.files.result.pose_table import PoseTable
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import measured_points, seen_outputs

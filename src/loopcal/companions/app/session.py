@@ -25,7 +25,7 @@ from loopcal.companions.app.worker import Action, Command, Run, Worker
 from loopcal.companions.robot.programs.registry import BY_ENDING as PROGRAMS
 from loopcal.document.change_points import ChangePoints
 from loopcal.errors import InputError, LoopcalError
-from loopcal.files.machines.drawn_links import DrawnLinks, read_links
+from loopcal.files.machines.meshes import DrawnLinks, read_links
 from loopcal.files.machines.python_function import load_function
 from loopcal.files.machines.urdf import NO_URDF, branches
 from loopcal.files.project.project_data import LoadedData

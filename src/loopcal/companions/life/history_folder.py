@@ -21,7 +21,7 @@ from typing import Any
 
 from loopcal.errors import InputError, short
 from loopcal.files.atomic import Data, clear_up, write_all
-from loopcal.files.json_reader import json_bytes
+from loopcal.files.json_files import json_bytes
 from loopcal.measurements.days import Days
 from loopcal.units import unit
 
@@ -73,16 +73,6 @@ class Entries:
     skipped: tuple[Skipped, ...]
 
 
-def append_entry(
-    folder: str | Path, kind: str, content: Mapping[str, Any], *, time: datetime | None = None
-) -> Entry:
-    """Add an entry; the folder is made if need be.
-
-    time: with a zone, by default now. Raises InputError where it cannot be written.
-    """
-    return append_entries(folder, [(kind, content)], time=time).whole[-1]
-
-
 def append_entries(
     folder: str | Path,
     added: Sequence[tuple[str, Mapping[str, Any]]],
@@ -93,8 +83,8 @@ def append_entries(
 ) -> Entries:
     """Add entries (kind, content), and write or remove other files with them, all or none.
 
-    together: files to write, of all entries as they will be. Raises InputError where anything
-    cannot be written.
+    The folder is made if need be. together: files to write, of all entries as they will be; time:
+    with a zone, by default now. Raises InputError where anything cannot be written.
     """
     folder = Path(folder)
     at = (time or datetime.now(UTC)).astimezone(UTC).replace(microsecond=0)

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 from loopcal.estimation.result import UPDATED
 from loopcal.files.result.deployed import OTHER_DAYS
-from loopcal.report.section import Section
 from loopcal.report.source import Source
+from loopcal.report.templates import Section
 
 
 def sections(source: Source) -> Iterator[Section]:
@@ -19,7 +19,7 @@ def sections(source: Source) -> Iterator[Section]:
 
         every.append(deployed(source))
     if kinds.intersection(OTHER_DAYS) or source.document.method_label == UPDATED:
-        from loopcal.companions.life.other_days import other_days
+        from loopcal.companions.life.pages import other_days
 
         every.append(other_days(source))
     yield from (section for section in every if section is not None)

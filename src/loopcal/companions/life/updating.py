@@ -34,8 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.arrays import Array
-from loopcal.companions.life.conditions import CONDITIONS, drift_of_conditions
-from loopcal.companions.life.drift import Since, allowed
+from loopcal.companions.life.drift import CONDITIONS, Since, allowed, drift_of_conditions
 from loopcal.companions.life.earlier import Around, Earlier, Sloped
 from loopcal.document.fit import NoiseEntry
 from loopcal.errors import InputError, NoTrustworthyResult

@@ -79,7 +79,7 @@ def performance(
     """Compute pose accuracy, repeatability and drift of a robot after ISO 9283, with intervals."""
     from loopcal.cli.asking import ask_on_terminal
     from loopcal.companions.performance.instrument import Figures, MeasuringErrors, tracker_of
-    from loopcal.companions.performance.run import run_performance
+    from loopcal.companions.performance.performance import run_performance
     from loopcal.files.tables.attained import read_attained
 
     errors = MeasuringErrors(

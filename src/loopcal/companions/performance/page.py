@@ -36,8 +36,7 @@ from loopcal.figures.figure import (
 )
 from loopcal.measurements.attained import AttainedPoses
 from loopcal.presentation.shown import Table
-from loopcal.report.section import Section
-from loopcal.report.templates import page
+from loopcal.report.templates import Section, page
 
 # Pose performance as data sheets show it: bars, scatter around the commanded pose, drift.
 

@@ -13,7 +13,7 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import measured_points, points
 from loopcal.mechanisms.skeleton import skeleton, skeleton_labels
 from loopcal.presentation.shown import SHOWN, Table, in_unit, significant, size, unit_shown
-from loopcal.report.section import Section, section_page
+from loopcal.report.templates import Section, section_page
 from loopcal.units import from_si
 
 

@@ -20,10 +20,9 @@ from loopcal.companions.robot.corrected import (
     corrected,
 )
 from loopcal.companions.robot.correction import Correction, StraightMove, divided, line_errors
-from loopcal.companions.robot.inverse import solve
+from loopcal.companions.robot.inverse import solutions, solve, with_turns
+from loopcal.companions.robot.programs.coordinates import JointAxes, pose_of_turns
 from loopcal.companions.robot.programs.copying import inserted
-from loopcal.companions.robot.programs.joint_axes import JointAxes
-from loopcal.companions.robot.programs.poses_text import pose_of_turns
 from loopcal.companions.robot.programs.program import Program, ProgramTarget
 from loopcal.companions.robot.programs.registry import (
     beside,
@@ -33,12 +32,11 @@ from loopcal.companions.robot.programs.registry import (
     refuse_corrected,
 )
 from loopcal.companions.robot.rigid import CALIBRATED, Tool, tool_of
-from loopcal.companions.robot.solutions import solutions, with_turns
 from loopcal.errors import InputError
 from loopcal.files.atomic import write_atomic
 from loopcal.files.machines.mechanism_file import mechanism_from_data, read_mechanism
 from loopcal.files.outputs import refuse_foreign
-from loopcal.files.project.new_readings import (
+from loopcal.files.project.project_data import (
     computed_joints,
     result_columns,
     result_pose_column,

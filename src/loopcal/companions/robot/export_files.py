@@ -26,7 +26,7 @@ from loopcal.document.verdict import Verdict
 from loopcal.errors import InputError, listed, unknown_name
 from loopcal.files.machines.mechanism_writer import source_file
 from loopcal.files.outputs import one_command
-from loopcal.files.project.new_readings import computed_joints
+from loopcal.files.project.project_data import computed_joints
 from loopcal.files.result.deployed import EXPORT, PREVIEW, note_deployed
 from loopcal.presentation.brief import brief
 from loopcal.presentation.shown import with_unit

@@ -23,8 +23,8 @@ from loopcal.figures.figure import (
 from loopcal.figures.planning import Line, by_number
 from loopcal.files.result.deployed import CORRECTION, EXPORT, PLAN, Deployed
 from loopcal.presentation.shown import Table, factor, size, unit_shown, with_unit
-from loopcal.report.section import Part, Section
 from loopcal.report.source import Source
+from loopcal.report.templates import Part, Section
 
 _MM = 1e3
 _NOTHING = 1e-9

@@ -9,17 +9,15 @@ from typing import Any
 import numpy as np
 
 from loopcal.companions.studies.draws import first_draw
-from loopcal.companions.studies.paired import Paired
 from loopcal.companions.studies.run import StudyDone
-from loopcal.companions.studies.tables import MethodTable, ScenarioTable, Spread
+from loopcal.companions.studies.tables import MethodTable, Paired, ScenarioTable, Spread
 from loopcal.estimation.result import FitResult
-from loopcal.figures.accuracy import over_poses
 from loopcal.figures.figure import COLOURS, Figure, axis, ends, layout, shown_text, trace
+from loopcal.figures.residuals import over_poses
 from loopcal.figures.space import arrows
 from loopcal.files.atomic import write_files
 from loopcal.presentation.shown import Table, in_unit, percent, size, unit_shown
-from loopcal.report.section import Section
-from loopcal.report.templates import page
+from loopcal.report.templates import Section, page
 
 # Distributions of errors over many draws, method beside method, a printed draw among them.
 

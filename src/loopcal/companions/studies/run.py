@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import io
+import json
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from loopcal.companions.studies import study_parts
+import numpy as np
+from numpy.typing import NDArray
+
 from loopcal.companions.studies.draws import Columns, run_draws
-from loopcal.companions.studies.paired import Paired
 from loopcal.companions.studies.study_file import Study, read_study
 from loopcal.companions.studies.tables import (
     END_POINT,
     MethodTable,
+    Paired,
     ScenarioTable,
     Spread,
     StudyTables,
@@ -23,10 +27,17 @@ from loopcal.companions.studies.tables import (
 from loopcal.errors import InputError, Unfinished, UsageError
 from loopcal.execution.executor import Executor
 from loopcal.execution.local import Processes
+from loopcal.files.atomic import write_atomic, write_files
+from loopcal.files.json_files import marked_json
 from loopcal.files.machines.python_function import load_function
 from loopcal.files.outputs import refuse_foreign
+from loopcal.files.tables.writer import table_bytes
 from loopcal.presentation.shown import FINE, columns, significant
 from loopcal.units import from_si
+
+if TYPE_CHECKING:
+    import polars as pl
+
 
 Progress = Callable[[int, int], None]
 """Called with how many draws are done, and how many were to be done in this run."""
@@ -72,8 +83,8 @@ def run_study(
         sharing(executor)
     folder = _default_folder(study) if out is None else Path(out)
     # Refused before the first draw, not after hours of them.
-    refuse_foreign(*(folder / name for name in study_parts.FILES))
-    study_parts.open_folder(folder, study)
+    refuse_foreign(*(folder / name for name in FILES))
+    open_folder(folder, study)
     try:
         return _drawn(study, draws, folder, executor, progress)
     except InputError as error:
@@ -84,20 +95,20 @@ def _drawn(
     study: Study, draws: int, folder: Path, executor: Executor | None, progress: Progress | None
 ) -> StudyDone:
     """Every draw that the folder does not hold yet, and the tables of all."""
-    parts = study_parts.parts_of(len(study.scenarios), draws)
-    missing = study_parts.missing_parts(folder, parts)
+    parts = parts_of(len(study.scenarios), draws)
+    missing = missing_parts(folder, parts)
     methods = len(study.methods)
     total, done = sum(part.last - part.first for part in missing), 0
     with closing((executor or Processes()).run(_columns, study, missing)) as finished:
         for piece in finished:
             part = missing[piece.number]
-            study_parts.write_part(folder, part, piece.value)
+            write_part(folder, part, piece.value)
             done += part.last - part.first
             if progress:
                 progress(done * methods, total * methods)
-    made = tables(study, draws, study_parts.join_parts(folder, parts))
+    made = tables(study, draws, join_parts(folder, parts))
     text, study_document = summary(made), document(made)
-    study_parts.write_summary(folder, study_document, text)
+    write_summary(folder, study_document, text)
     return StudyDone(study, made, folder, text, study_document)
 
 
@@ -116,7 +127,7 @@ def _check(study: Study) -> None:
             raise error.at(f"{study.name}: scenarios[{i + 1}] ({scenario.name})") from None
 
 
-def _columns(study: Study, part: study_parts.Part) -> Columns:
+def _columns(study: Study, part: Part) -> Columns:
     scenario = study.scenarios[part.scenario]
     try:
         return run_draws(scenario, study.seed, range(part.first, part.last))
@@ -210,3 +221,130 @@ def _paired(pair: Paired) -> list[str]:
             ratio = f"{significant(a.ratio, 2)} [{ends}]"
         rows.append([a.name, share, ratio])
     return [head, *(columns(rows) if pair.advantages else [])]
+
+
+# The folder of a study: parts written as they are done, so that a study can stop and go on.
+#
+# study.json states the fingerprint of the study; parts/ holds one Parquet file per piece of work,
+# whole or not at all; draws.parquet has all rows, scenario by scenario and draw by draw.
+
+
+Column = Sequence[str] | NDArray[np.float64]
+# The numbers of a draw depend on no part: seed, scenario and number decide (docs/decisions/0007).
+CHUNK = 50
+"""Draws in a part: a few seconds of work at most, lost when a study is killed."""
+MOST_DRAWS = 10_000_000
+"""Of all scenarios together."""
+FILES = ("study.json", "draws.parquet", "summary.json", "summary.txt", "study.html")
+TEXTS = ("scenario", "method", "reason")
+
+
+@dataclass(frozen=True, order=True)
+class Part:
+    """Draws first to last, without last, of the scenario at this position."""
+
+    scenario: int
+    first: int
+    last: int
+
+    @property
+    def file(self) -> str:
+        """Name of its file."""
+        return f"{self.scenario:03d}-{self.first:07d}-{self.last:07d}.parquet"
+
+
+def parts_of(scenarios: int, draws: int) -> list[Part]:
+    """All parts of a study with so many draws of each scenario, in the order of their rows.
+
+    Raises InputError for more draws than can be listed.
+    """
+    if scenarios * draws > MOST_DRAWS:
+        raise InputError(
+            f"the study has {scenarios * draws} draws; the limit is {MOST_DRAWS}",
+            code="too-large",
+            remedy="use fewer draws per scenario or fewer scenarios",
+        )
+    return [
+        Part(scenario, first, min(first + CHUNK, draws))
+        for scenario in range(scenarios)
+        for first in range(0, draws, CHUNK)
+    ]
+
+
+def open_folder(folder: Path, study: Study) -> None:
+    """Make the folder of a study, or find that it is this study's already.
+
+    Raises InputError for a folder of another study, or of this one before it was changed.
+    """
+    path = folder / "study.json"
+    if path.exists():
+        try:
+            stated = json.loads(path.read_text("utf-8"))["fingerprint"]
+        except (OSError, ValueError, KeyError, TypeError):
+            stated = None
+        if stated != study.fingerprint:
+            raise InputError(
+                "this folder holds draws of another study, or of another version of this study "
+                "or of loopcal",
+                code="unreadable-file",
+                place=str(folder),
+                remedy="choose another folder with --out, or delete this one",
+            )
+        return
+    about = {"schema": 1, "title": study.title, "fingerprint": study.fingerprint}
+    write_atomic(path, marked_json(about))
+
+
+def missing_parts(folder: Path, parts: Sequence[Part]) -> list[Part]:
+    """The parts that have not been written yet."""
+    written = {path.name for path in (folder / "parts").glob("*.parquet")}
+    return [part for part in parts if part.file not in written]
+
+
+def write_part(folder: Path, part: Part, columns: Mapping[str, Column]) -> None:
+    """Write one part, whole or not at all."""
+    write_atomic(folder / "parts" / part.file, table_bytes(columns, ".parquet"))
+
+
+def join_parts(folder: Path, parts: Sequence[Part]) -> dict[str, Column]:
+    """All rows of the parts, in their order, written to draws.parquet and returned.
+
+    Parameters that only some scenarios have are NaN elsewhere. Raises InputError for a part that
+    cannot be read.
+    """
+    import polars as pl
+
+    frames = [_frame(folder / "parts" / part.file) for part in parts]
+    frame = pl.concat(frames, how="diagonal")
+    out = io.BytesIO()
+    frame.with_columns(
+        pl.col("draw", "iterations").cast(pl.Int64),
+        pl.col("converged", "other_optimum").cast(pl.Boolean),
+    ).write_parquet(out)
+    write_atomic(folder / "draws.parquet", out.getvalue())
+    return {
+        name: frame[name].to_list()
+        if name in TEXTS
+        else frame[name].cast(pl.Float64).fill_null(np.nan).to_numpy()
+        for name in frame.columns
+    }
+
+
+def write_summary(folder: Path, document: Mapping[str, Any], text: str) -> None:
+    """Write the tables of a study beside its draws: summary.json and summary.txt."""
+    words = {"summary.txt": text + "\n"}
+    write_files(folder, {**words, "summary.json": marked_json(document, words)})
+
+
+def _frame(path: Path) -> pl.DataFrame:
+    import polars as pl
+
+    try:
+        return pl.read_parquet(path, glob=False)
+    except (pl.exceptions.PolarsError, OSError) as error:
+        raise InputError(
+            f"this part of the study cannot be read ({str(error).splitlines()[0]})",
+            code="unreadable-file",
+            place=str(path),
+            remedy="delete the file and run the study again; only this part is recomputed",
+        ) from None

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from loopcal.document.plain import finite_only
-from loopcal.errors import InputError, placed, unknown_name
+from loopcal.errors import InputError, placed, refuse_repeated, unknown_name
 from loopcal.estimation.calibrate import refuse_noise
 from loopcal.estimation.fit import Fit
 from loopcal.files.machines.parameter_entries import (
@@ -162,14 +162,7 @@ def _fingerprint(data: Mapping[str, Any], scenarios: Sequence[Scenario]) -> str:
 
 
 def _refuse_repeated(names: Sequence[str], place: Place) -> None:
-    for i, name in enumerate(names):
-        if name in names[:i]:
-            raise InputError(
-                f"the name {name!r} is given twice",
-                code="duplicate-name",
-                place=str(place.at(i, "name")),
-                remedy="give each a unique name",
-            )
+    refuse_repeated(names, "the name {!r} is given twice", place=lambda i: place.at(i, "name"))
 
 
 def _scenario(

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError, listed, short
-from loopcal.files.json_reader import json_bytes, whole_number
+from loopcal.files.json_files import json_bytes, whole_number
 
 MOST_BYTES, MOST_VALUES, DEEPEST = 1_000_000, 100_000, 40
 """Of YAML: bytes, values, and values within values. JSON is bounded as that of loopcal."""

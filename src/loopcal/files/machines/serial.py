@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from typing import Annotated, Any
 
-from loopcal.errors import InputError, placed
+from loopcal.errors import InputError, placed, refuse_repeated
 from loopcal.files.machines.attached import Instruments
 from loopcal.files.machines.machine_type import ChainTable, MachineType, looked_at
 from loopcal.files.toml.place import Place, Scope
@@ -114,7 +113,11 @@ def serial(stated: Serial, _: Any, scope: Scope, place: Place) -> Mechanism:
     Raises InputError at the joint, key or value that does not fit.
     """
     point = stated.point or ("x", "y", "z")
-    _refuse_repeated([joint.name for joint in stated.joint], point, place)
+    refuse_repeated(
+        [*(joint.name for joint in stated.joint), *point],
+        "two quantities are named {!r}",
+        place=lambda i: place.at(*(("joint", i, "name") if i < len(stated.joint) else ("point",))),
+    )
     joints = [joint.joint for joint in stated.joint]
     nominal: dict[str, float] = {}
     for i, joint in enumerate(stated.joint):
@@ -152,20 +155,6 @@ def _refuse_base_and_point(stated: Serial, place: Place) -> None:
                 remedy="give it to an instrument (station, readings), with nominal values in "
                 "[parameters]",
             )
-
-
-def _refuse_repeated(joints: Sequence[str], point: Sequence[str], place: Place) -> None:
-    seen: set[str] = set()
-    for i, name in enumerate([*joints, *point]):
-        if name in seen:
-            name_place = place.at("joint", i, "name") if i < len(joints) else place.at("point")
-            raise InputError(
-                f"two quantities are named {name!r}",
-                code="duplicate-name",
-                place=str(name_place),
-                remedy="give each a unique name",
-            )
-        seen.add(name)
 
 
 TYPES = {"serial": MachineType(Serial, Serial, serial)}

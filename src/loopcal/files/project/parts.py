@@ -11,8 +11,8 @@ import numpy as np
 
 from loopcal.errors import InputError, listed
 from loopcal.files.project.data_table import DataTable, FileTable, JoinTable, implied_by
-from loopcal.files.tables.columns import Column
 from loopcal.files.tables.readers import (
+    Column,
     column_labels,
     read_dataset,
     read_once,

@@ -24,7 +24,6 @@ from loopcal.files.project.project_data import (
     loaded_from,
 )
 from loopcal.files.project.project_file import Project
-from loopcal.files.tables.columns import Column, refuse_doubles, specified, wanted
 from loopcal.files.tables.parquet import (
     READER,
     ParquetFile,
@@ -35,7 +34,7 @@ from loopcal.files.tables.parquet import (
     sha256_of_all,
 )
 from loopcal.files.tables.raw import sha256_of
-from loopcal.files.tables.readers import dataset_of
+from loopcal.files.tables.readers import Column, dataset_of, refuse_doubles, specified, wanted
 from loopcal.files.tables.registry import reader_of
 from loopcal.files.tables.table import ROW, Table, positions_of
 from loopcal.files.toml.place import Place
@@ -247,7 +246,7 @@ def load_sample(project: Project) -> LoadedData:
 
     The first warning then says so. Raises InputError as `load_dataset` and `project_stream` do.
     """
-    from loopcal.estimation.stream.last_pass import SHOWN
+    from loopcal.estimation.stream.calibrate import SHOWN
 
     stream = project_stream(project)
     if stream is None or stream.poses < 2 * SHOWN:

@@ -15,10 +15,10 @@ import numpy as np
 from loopcal.arrays import Array
 from loopcal.errors import InputError, listed
 from loopcal.files.cameras.folder import tables_of
-from loopcal.files.project.source_table import SourceInstrument, SourceTable
-from loopcal.files.recognition.expressions import computed_column
+from loopcal.files.project.data_table import SourceInstrument, SourceTable
 from loopcal.files.recognition.fields import STATIONS, Field, unnamed
 from loopcal.files.recognition.joins import Fields, joined
+from loopcal.files.recognition.joint_sets import computed_column
 from loopcal.files.recognition.layouts import Seen, at_station
 from loopcal.files.recognition.logs import at_rest
 from loopcal.files.recognition.meanings import Meaning, inverse, polar, positions, rotations

@@ -12,11 +12,9 @@ from typing import Any
 import numpy as np
 
 from loopcal.errors import InputError
-from loopcal.files.recognition.framed import framed_table
+from loopcal.files.recognition.framed import framed_table, turned_over
 from loopcal.files.recognition.headers import Heading, heading, meanings, words
-from loopcal.files.recognition.robot_calls import called_robot
-from loopcal.files.recognition.robot_lists import listed_robot, without_robot
-from loopcal.files.recognition.turned_over import turned_over
+from loopcal.files.recognition.robot_listings import called_robot, listed_robot, without_robot
 from loopcal.files.tables.cells import is_missing
 from loopcal.units import unit
 

@@ -8,19 +8,20 @@ columns of one name (merged cells count for all that they span), and one of unit
 from __future__ import annotations
 
 import csv
+import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from loopcal.errors import InputError
-from loopcal.files.recognition.cell_units import with_units_in_names
+from loopcal.errors import InputError, listed
 from loopcal.files.recognition.headers import heading
+from loopcal.files.recognition.joint_sets import names_joints
 from loopcal.files.recognition.records import MARKS, are_records, has_numbers, records_table
-from loopcal.files.tables.cells import is_missing, is_number
-from loopcal.files.tables.dialect import DELIMITERS, cut
+from loopcal.files.tables.cells import is_missing, is_number, number
+from loopcal.files.tables.delimited import DELIMITERS, cut
 from loopcal.files.tables.raw import Text, read_text
 from loopcal.files.tables.readers import read_table
 from loopcal.files.tables.registry import TEXT, reader_of
@@ -261,3 +262,123 @@ def _remark(name: str, above: int, frame: _Frame) -> str:
     if frame.below:
         words.append(f"What stands below row {frame.body[-1] + 1} is no reading either.")
     return " ".join(words)
+
+
+# Cells that hold their unit: `12.5°`, `1,234.5 mm`, `48° 12' 30.5"`. It moves into the header.
+
+
+_WITH_UNIT = re.compile(
+    r"(?P<number>[-+]?[\d.,]{1,40}(?:[eE][-+]?\d{1,4})?)\s{0,3}(?P<unit>\D{1,12})"
+)
+_ARC = re.compile(
+    r"(?P<sign>[-+]?)(?P<deg>\d{1,4})\s?[°d:]\s?(?P<min>\d{1,2})\s?['′’m:]\s?"
+    r"(?P<sec>\d{1,2}(?:[.,]\d{0,9})?)\s?(?:[\"″”s]|'')?"
+)
+
+
+def with_units_in_names(table: Table) -> tuple[Table, str]:
+    """The table with the units of cells in its header, and what to say of it, "" for none.
+
+    A column is read so where each of its cells has the same unit.
+    """
+    columns, names = {**table.columns}, [*table.names]
+    names += [""] * (1 + max(columns, default=-1) - len(names))
+    moved = []
+    for i, cells in table.columns.items():
+        if isinstance(cells, list) and (made := _numbers(cells, table.decimal, names[i])):
+            columns[i], unit = made
+            names[i] = f"{names[i] or f'column {i + 1}'} [{unit}]"
+            moved.append(names[i])
+    if not moved:
+        return table, ""
+    made_table = replace(table, names=tuple(names), columns=columns)
+    return made_table, f"The cells of {table.name} hold units: {listed(moved)} are read so."
+
+
+def _numbers(cells: Sequence[object], decimal: str, name: str) -> tuple[list[object], str] | None:
+    """The numbers of cells with one unit, and the unit; None for others."""
+    first = next((cell for cell in cells if not is_missing(cell)), None)
+    if first is None or is_number(first, decimal):
+        return None
+    present = [str(cell).strip() for cell in cells if not is_missing(cell)]
+    # 10:15:30 is a time of day; with a ° it is an angle, whatever stands between its parts
+    if all(_ARC.fullmatch(cell) for cell in present) and ("°" in present[0] or "'" in present[0]):
+        return [_degrees(str(cell)) if not is_missing(cell) else None for cell in cells], "deg"
+    made: list[object] = []
+    units = set()
+    for cell in cells:
+        match = _WITH_UNIT.fullmatch(str(cell).strip())
+        if is_missing(cell):
+            made.append(None)
+        elif match and is_number(match["number"], decimal):
+            made.append(number(match["number"], decimal))
+            units.add(heading(f"x [{match['unit']}]").unit)
+        else:
+            return None
+    unit = units.pop() if len(units) == 1 else None
+    stated = heading(name).unit if name else None
+    return (made, unit) if unit and stated in (None, unit) else None
+
+
+def _degrees(cell: str) -> float:
+    match = _ARC.fullmatch(cell.strip())
+    assert match
+    size = int(match["deg"]) + int(match["min"]) / 60 + float(match["sec"].replace(",", ".")) / 3600
+    return -size if match["sign"] == "-" else size
+
+
+# A table with a column per pose or joint, the first naming them: its rows become columns.
+
+
+_FEWEST_KEYS = 4
+"""Rows that name a quantity, at least."""
+_ROWS = 3
+"""Such rows for each column beside them, at most: names of points have three coordinates each."""
+
+
+def matrices_unfolded(table: Table) -> tuple[Table, str]:
+    """A table of 4x4 matrices below each other with a row for each, and what to say of it, "" where
+    it holds none: every fourth row is 0, 0, 0, 1."""
+    count, four = len(table.rows), [0, 1, 2, 3]
+    if sorted(table.columns) != four or [*table.numeric()] != four or count % 4:
+        return table, ""
+    cells = np.array([table.numbers(i, np.arange(count)) for i in range(4)]).T
+    if not (cells[3::4] == np.eye(4)[3]).all():
+        return table, ""
+    rows = cells.reshape(-1, 16)
+    names = tuple(f"T{i}{j}" for i in range(1, 5) for j in range(1, 5))
+    columns = dict(enumerate(rows.T))
+    numbers = np.arange(1, len(rows) + 1, dtype=np.int64)
+    made = replace(table, names=names, columns=columns, rows=numbers)
+    return made, f"{table.name} holds {len(rows)} matrices of four rows: one for each pose."
+
+
+def turned_over(
+    table: Table, names: Callable[[Sequence[str]], bool] = names_joints
+) -> tuple[Table, str]:
+    """The table with a row per pose, and what to say of it, "" where it has one already.
+
+    The words of the first column are names of this kind, and the header has none.
+    """
+    width = 1 + max(table.columns, default=-1)
+    if any(not isinstance(c, list | np.ndarray) for c in table.columns.values()) or width < 2:
+        return table, ""
+    rows = list(zip(*(table.columns[i] for i in range(width)), strict=True))
+    named = [row for row in rows if str(row[0] or "").strip() and is_number(row[1], table.decimal)]
+    words = [str(row[0]).strip() for row in named]
+    if not _FEWEST_KEYS <= len(named) <= _ROWS * (width - 1):
+        return table, ""
+    if len(named) < len(rows) - 1 or len({*words}) < len(words):
+        return table, ""
+    if not names(words) or names(table.names):
+        return table, ""
+    ids = [str(name) or str(i) for i, name in enumerate(table.names[1:width], 1)]
+    columns = {0: ids or [*map(str, range(1, width))]}
+    columns |= {i: [*row[1:]] for i, row in enumerate(named, 1)}
+    made = replace(
+        table,
+        names=("pose", *words),
+        columns=columns,
+        rows=np.arange(1, width, dtype=np.int64),
+    )
+    return made, f"{table.name} has a column per pose: its rows are read as columns."

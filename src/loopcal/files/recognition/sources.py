@@ -24,7 +24,7 @@ from loopcal.files.recognition.fields import (
     counted,
     told_apart,
 )
-from loopcal.files.recognition.framed import framed_table
+from loopcal.files.recognition.framed import framed_table, matrices_unfolded, turned_over
 from loopcal.files.recognition.headers import (
     Heading,
     heading,
@@ -36,7 +36,6 @@ from loopcal.files.recognition.headers import (
 from loopcal.files.recognition.joins import in_numbers
 from loopcal.files.recognition.records import FEWEST, are_records, records_table
 from loopcal.files.recognition.shots import MOST_TARGETS, pooled, widened
-from loopcal.files.recognition.turned_over import matrices_unfolded, turned_over
 from loopcal.files.tables import bag
 from loopcal.files.tables.cells import is_missing, is_number
 from loopcal.files.tables.raw import Text, read_text

@@ -16,8 +16,7 @@ from typing import Any
 
 from loopcal.errors import InputError
 from loopcal.files.atomic import write_files
-from loopcal.files.json_reader import read_json
-from loopcal.files.json_writer import marked_json
+from loopcal.files.json_files import marked_json, read_json
 from loopcal.files.tables.raw import sha256_of
 
 FOLDER = "deployed"

@@ -13,8 +13,7 @@ from loopcal.document.result_document import SCHEMA, ResultDocument, WrittenResu
 from loopcal.errors import InputError, listed, nearest
 from loopcal.estimation.result import FitResult
 from loopcal.files.atomic import Data, write_all
-from loopcal.files.json_reader import read_json
-from loopcal.files.json_writer import sums
+from loopcal.files.json_files import read_json, sums
 from loopcal.files.machines.mechanism_file import read_mechanism
 from loopcal.files.machines.mechanism_writer import mechanism_to_toml
 from loopcal.files.machines.python_function import Loops

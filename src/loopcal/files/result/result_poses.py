@@ -10,8 +10,7 @@ import numpy as np
 from loopcal.errors import InputError
 from loopcal.files.result.pair import refuse_stale
 from loopcal.files.result.result_file import read_result
-from loopcal.files.tables.columns import Column
-from loopcal.files.tables.readers import read_dataset
+from loopcal.files.tables.readers import Column, read_dataset
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
 

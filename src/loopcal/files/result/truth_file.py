@@ -9,8 +9,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from loopcal.errors import InputError, placed, unknown_name
-from loopcal.files.json_reader import read_json
-from loopcal.files.json_writer import marked_json
+from loopcal.files.json_files import marked_json, read_json
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.units import convertible, to_si
 

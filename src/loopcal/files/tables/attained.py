@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.arrays import Array
-from loopcal.errors import InputError, listed, nearest, unknown_name
+from loopcal.errors import InputError, listed, nearest, refuse_repeated, unknown_name
 from loopcal.files.recognition.headers import heading, meanings, words
 from loopcal.files.tables.readers import NAMELESS, read_table
 from loopcal.files.tables.table import Table
@@ -375,14 +375,8 @@ def _from_table(
     if planar and (kind, "z") in table.at:
         raise table.no_position("", "commanded")
     positions, turns = table.poses(kind, "commanded", planar)
-    if len(set(names)) < len(names):
-        twice = next(i for i, name in enumerate(names) if name in names[:i])
-        raise InputError(
-            f"the pose {names[twice]!r} is there twice",
-            code="duplicate-name",
-            place=table.table.place(twice),
-            remedy="give each commanded pose once",
-        )
+    once = "give each commanded pose once"
+    refuse_repeated(names, "the pose {!r} is there twice", once, table.table.place)
     at = {name: i for i, name in enumerate(names)}
     for row, name in enumerate(pose):
         if name not in at:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import re
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,17 +101,15 @@ def is_number(cell: object, decimal: str = ".") -> bool:
         return False
 
 
-def numbers(
-    cells: list[Any] | NDArray[np.float64], keep: NDArray[np.int64], decimal: str = "."
-) -> NDArray[np.float64]:
+def numbers(cells: Cells, keep: NDArray[np.int64], decimal: str = ".") -> NDArray[np.float64]:
     """The column (N,) as numbers, at the positions to keep; the others are not looked at.
-
-    Columns of polars: see `series.numbers`.
 
     Raises NotANumber for the first cell that is neither number nor missing.
     """
     if isinstance(cells, np.ndarray):
         return cells[keep]
+    if not isinstance(cells, list):
+        return _series_numbers(cells, keep, decimal)
     result = np.empty(len(keep))
     for i, index in enumerate(keep):
         try:
@@ -119,6 +117,53 @@ def numbers(
         except ValueError:
             raise NotANumber(int(index), cells[index]) from None
     return result
+
+
+def _series_numbers(
+    series: pl.Series, keep: NDArray[np.int64], decimal: str
+) -> NDArray[np.float64]:
+    """A column of polars at its speed: it converts plain numbers, and each different text that it
+    refuses is left to `number`."""
+    import polars as pl
+
+    if len(keep) < len(series):
+        series = series.gather(pl.Series(keep))
+    if series.dtype != pl.String:
+        return _converted(series, keep)
+    plain = series.str.strip_chars()
+    plain = plain.str.replace(",", ".", literal=True) if decimal == "," else plain
+    values = plain.cast(pl.Float64, strict=False)
+    refused = values.is_null()
+    if decimal == ",":  # there a point is no decimal mark, whatever polars thinks of it
+        refused |= series.str.contains(".", literal=True).fill_null(True)
+    result = values.to_numpy().copy()
+    if refused.any():
+        table = {text: _number_or_none(text, decimal) for text in series.filter(refused).unique()}
+        where = np.flatnonzero(refused.to_numpy())
+        for i, text in zip(where, series.filter(refused), strict=True):
+            value = table[text]
+            if value is None:
+                raise NotANumber(int(keep[i]), text)
+            result[i] = value
+    return result
+
+
+def _number_or_none(text: str | None, decimal: str) -> float | None:
+    try:
+        return number(text, decimal)
+    except ValueError:
+        return None
+
+
+def _converted(series: pl.Series, keep: NDArray[np.int64]) -> NDArray[np.float64]:
+    import polars as pl
+
+    if series.dtype.is_numeric() or series.dtype == pl.Null:
+        return series.cast(pl.Float64).to_numpy()  # often the column itself, not to be written to
+    for i, value in enumerate(series):
+        if value is not None:
+            raise NotANumber(int(keep[i]), value)
+    return np.full(len(series), np.nan)
 
 
 def ungrouped(cells: Cells, decimal: str) -> list[object] | None:

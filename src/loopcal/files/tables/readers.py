@@ -3,33 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Annotated, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.arrays import Array
-from loopcal.errors import InputError
+from loopcal.errors import InputError, nearest, placed, unknown_name
 from loopcal.files.tables import delimited, parquet
-from loopcal.files.tables.columns import (
-    Column,
-    ColumnLike,
-    all_numeric,
-    refuse_doubles,
-    specified,
-    wanted,
-)
+from loopcal.files.tables.cells import Cells
 from loopcal.files.tables.isolated import read_isolated
 from loopcal.files.tables.reader import Layout
 from loopcal.files.tables.registry import reader_of, refuse_other_options
-from loopcal.files.tables.spread import spread_rows
 from loopcal.files.tables.table import ROW, Table
+from loopcal.keys import Key
 from loopcal.measurements.dataset import Dataset, checked_every
 from loopcal.measurements.poses import asked_ids, positions_of
 from loopcal.measurements.source import Source
-from loopcal.units import difference_to_si, to_si, unit
+from loopcal.mechanisms.instruments.camera import PIXEL
+from loopcal.units import convertible, difference_to_si, to_si, unit
 
 File = str | Path | BinaryIO
 NAMELESS = frozenset(("", "None", "nan"))
@@ -206,3 +200,245 @@ def _table(
         assert isinstance(path, str | Path)
         return read_isolated(reader, path, layout, wanted=asked)
     return reader.read(path, layout, wanted=asked, **(rows if reader is parquet.READER else {}))
+
+
+# Which column of a table is which quantity, in which unit, with which sd.
+
+
+@dataclass(frozen=True)
+class Column:
+    """Where one quantity stands in a file, and in which unit."""
+
+    column: Annotated[
+        str | int,
+        Key(
+            "Name of the column, its number from 1 (the only way where there is no header), or 0: "
+            "the number of the row.",
+            alone=True,
+        ),
+    ]
+    unit: Annotated[
+        str | None, Key("Unit of the readings; without one SI (m, rad).", is_unit=True)
+    ] = None
+    sd_column: Annotated[str | int | None, Key("Column with the sd of each reading.")] = None
+    sd_unit: Annotated[
+        str | None, Key("Unit of the sd; without one, that of the readings.", is_unit=True)
+    ] = None
+    coverage: Annotated[
+        float | None,
+        Key(
+            "Coverage factor of that column, where it holds an expanded uncertainty: 2 for k = 2. "
+            "The sd is the column divided by it.",
+            positive=True,
+        ),
+    ] = None
+    check: Annotated[bool, Key("false: the values are right though strange.")] = True
+
+    def entry(self) -> dict[str, Any]:
+        """As a project states it."""
+        return {key: value for key, value in asdict(self).items() if value is not None}
+
+
+ColumnLike = str | int | Mapping[str, Any] | Column
+
+
+def specified(columns: Mapping[str, ColumnLike], units: Mapping[str, str]) -> dict[str, Column]:
+    """Quantity -> its column, with the unit from `units` where the column states none.
+
+    Raises InputError for an unknown key or unit, and for two units of one quantity. Raises it
+    also for a unit of a quantity that is absent, and for an sd in a unit of another dimension.
+    """
+    if not columns:
+        raise InputError(
+            "no column is requested",
+            code="missing-column",
+            remedy="map at least one quantity to a column",
+        )
+    for quantity in units:
+        if quantity not in columns:
+            raise InputError(
+                f"a unit is given for {quantity!r}, which has no column",
+                code="conflicting-keys",
+                remedy=nearest(quantity, columns),
+            )
+    return {q: _checked(q, _column(q, stated), units.get(q)) for q, stated in columns.items()}
+
+
+def wanted(columns: Mapping[str, Column], pose: str | int | None) -> frozenset[str | int]:
+    """All columns that have to be read."""
+    named = [c.column for c in columns.values()] + [c.sd_column for c in columns.values()]
+    return frozenset(column for column in [*named, pose] if column not in (None, ROW))
+
+
+def all_numeric(
+    table: Table, pose: str | int | None, units: Mapping[str, str]
+) -> dict[str, Column]:
+    """Every column of numbers but the ids, under its own name, else "column_1", "column_2", ..."""
+    aside = None if pose is None else table.position(pose)
+    columns: dict[str, ColumnLike] = {}
+    for i in table.numeric():
+        if i != aside:
+            name = table.names[i] if table.names else ""
+            columns[name or f"column_{i + 1}"] = name or i + 1
+    if not columns:
+        raise InputError(
+            "there is no column of numbers",
+            code="missing-column",
+            place=table.name,
+            remedy="check the delimiter and the decimal mark, or name the columns to read",
+        )
+    return specified(columns, units)
+
+
+def refuse_doubles(table: Table, columns: Mapping[str, Column]) -> None:
+    """Raise InputError where two quantities, or a reading and an sd, stand in one column."""
+    user: dict[int, str] = {}
+    for quantity, column in columns.items():
+        other = user.setdefault(table.position(column.column), quantity)
+        if other != quantity:
+            raise InputError(
+                f"column {column.column!r} is mapped twice: to {other!r} and {quantity!r}",
+                code="duplicate-column",
+                place=table.name,
+                remedy="map each quantity to a different column",
+            )
+    for quantity, column in columns.items():
+        reads = column.sd_column is not None and user.get(table.position(column.sd_column))
+        if reads:
+            raise InputError(
+                f"column {column.sd_column!r} is mapped as the readings of {reads!r} and as the "
+                f"sd of {quantity!r}",
+                code="duplicate-column",
+                place=table.name,
+                remedy="name the column that holds the sd",
+            )
+
+
+def _column(quantity: str, stated: ColumnLike) -> Column:
+    if isinstance(stated, Mapping):
+        keys = [field.name for field in fields(Column)]
+        for key in stated:
+            if key not in keys:
+                raise unknown_name(
+                    f"unknown key {key!r}", str(key), keys, f"column of {quantity!r}"
+                )
+        if "column" not in stated:
+            raise InputError(
+                "the column is not named",
+                code="missing-column",
+                place=f"column of {quantity!r}",
+                remedy='give column = "its name" or its number',
+            )
+        stated = Column(**stated)
+    column = stated if isinstance(stated, Column) else Column(stated)
+    for key, value in asdict(column).items():
+        if key in ("column", "sd_column") and isinstance(value, bool | float):
+            raise InputError(
+                f"{key} is {value!r}",
+                code="invalid-value",
+                place=f"column of {quantity!r}",
+                remedy="give a name, or a whole number from 1",
+            )
+    return column
+
+
+def _checked(quantity: str, column: Column, other_unit: str | None) -> Column:
+    place = f"column of {quantity!r}"
+    if other_unit and column.unit and unit(other_unit) != unit(column.unit):
+        raise InputError(
+            f"two units are stated, {column.unit} and {other_unit}",
+            code="wrong-unit",
+            place=place,
+            remedy="state one of them",
+        )
+    readings_unit = column.unit or other_unit
+    with placed(place):
+        sd_unit = column.sd_unit or readings_unit
+        fits = not (readings_unit and sd_unit) or convertible(readings_unit, sd_unit)
+        for name in (readings_unit, sd_unit):
+            if name:
+                unit(name)
+    if not fits:
+        raise InputError(
+            f"the sd is in {sd_unit}, the readings in {readings_unit}",
+            code="wrong-unit",
+            place=place,
+            remedy=f"give the sd in a unit of {unit(readings_unit or '1').dimension}",
+        )
+    if column.coverage is not None and not (column.sd_column and column.coverage > 0):
+        raise InputError(
+            f"coverage is {column.coverage}"
+            + ("" if column.sd_column else ", and no column of sds is named"),
+            code="invalid-value" if column.sd_column else "conflicting-keys",
+            place=place,
+            remedy='name sd_column = "...", and give coverage = 2 where it holds two sds',
+        )
+    return replace(column, unit=readings_unit)
+
+
+# Tables with one row for each point of an image, spread to one row for each pose.
+#
+#     pose, camera, board, point, u, v        pose, 1:board:0:u, 1:board:0:v, 1:board:1:u, ...
+#
+# The labels of a row make the name of its readings; a point that was not seen is missing.
+
+
+Index = NDArray[np.intp]
+LABELS = ("camera", "board", "point")
+MOST = 1 << 26
+"""Cells of the table that is made: half a gigabyte."""
+
+
+def spread_rows(table: Table, columns: Mapping[str, str]) -> Table:
+    """The table with one row for each pose; columns: which of it is pose, label, u and v.
+
+    Raises InputError for a point that stands twice in one pose, and for a table that would be
+    too large.
+    """
+    pose = table.ids(table.position(columns["pose"]))
+    labels = [table.labels(table.position(columns[key])) for key in LABELS if key in columns]
+    named = [":".join(row) for row in zip(*labels, strict=True)]
+    poses, names = list(dict.fromkeys(pose)), list(dict.fromkeys(named))
+    if len(poses) * len(names) * len(PIXEL) > MOST:
+        raise InputError(
+            f"{len(poses)} poses with {len(names)} different points are too large a table",
+            code="too-large",
+            place=table.name,
+            remedy="check the columns of pose and point; give fewer poses",
+        )
+    row = {name: i for i, name in enumerate(poses)}
+    place = {name: i for i, name in enumerate(names)}
+    rows = np.array([row[name] for name in pose], dtype=np.intp)
+    points = np.array([place[name] for name in named], dtype=np.intp)
+    _refuse_repeated(table, rows, points, named, pose)
+    cells: dict[int, Cells] = {0: poses}
+    headers = [columns["pose"]]
+    keep = np.arange(len(pose), dtype=np.int64)
+    wide = []
+    for axis in PIXEL:
+        filled = np.full((len(names), len(poses)), np.nan)
+        filled[points, rows] = table.numbers(table.position(columns[axis]), keep)
+        wide.append(filled)
+    for name, *values in zip(names, *wide, strict=True):
+        for axis, value in zip(PIXEL, values, strict=True):
+            cells[len(headers)] = value
+            headers.append(f"{name}:{axis}")
+    first = np.full(len(poses), -1, dtype=np.int64)
+    first[rows[::-1]] = table.rows[::-1]
+    return Table(table.file, table.part, table.sha256, tuple(headers), cells, first, decimal=".")
+
+
+def _refuse_repeated(
+    table: Table, rows: Index, points: Index, named: list[str], pose: tuple[str, ...]
+) -> None:
+    code = rows * (int(points.max(initial=0)) + 1) + points
+    _, first, count = np.unique(code, return_index=True, return_counts=True)
+    if (count > 1).any():
+        index = int(first[count > 1][0])
+        again = int(np.flatnonzero(code == code[index])[1])
+        raise InputError(
+            f"the point {named[index]} stands twice in pose {pose[index]}",
+            code="duplicate-name",
+            place=table.place(again),
+            remedy="keep one of them",
+        )

@@ -9,8 +9,7 @@ from pathlib import Path
 from loopcal.errors import InputError, UsageError
 from loopcal.files.project.project_file import Project
 from loopcal.files.recognition.headers import heading
-from loopcal.files.tables.columns import Column
-from loopcal.files.tables.readers import column_labels, read_dataset, read_once
+from loopcal.files.tables.readers import Column, column_labels, read_dataset, read_once
 from loopcal.measurements.dataset import Dataset
 from loopcal.units import unit
 

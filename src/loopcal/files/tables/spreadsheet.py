@@ -8,7 +8,7 @@ import numpy as np
 
 from loopcal.errors import InputError, listed, unknown_name
 from loopcal.files.tables.cells import is_missing
-from loopcal.files.tables.dialect import is_header, only_header
+from loopcal.files.tables.delimited import is_header, only_header
 from loopcal.files.tables.raw import empty, existing_file, sha256_of
 from loopcal.files.tables.reader import RECOGNISED, Layout, Reader
 from loopcal.files.tables.table import Table

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from loopcal.errors import InputError, listed, nearest, short
 from loopcal.files.tables import cells as cell_rules
-from loopcal.files.tables import series
 from loopcal.files.tables.cells import Cells, NotANumber
 from loopcal.measurements.days import Days
 from loopcal.measurements.poses import cell_text
@@ -107,9 +106,7 @@ class Table:
         column = self.columns[position]
         try:
             try:
-                if isinstance(column, list | np.ndarray):
-                    return cell_rules.numbers(column, keep, self.decimal)
-                return series.numbers(column, keep, self.decimal)
+                return cell_rules.numbers(column, keep, self.decimal)
             except NotANumber:
                 joined = cell_rules.ungrouped(column, self.decimal)
                 if joined is None:

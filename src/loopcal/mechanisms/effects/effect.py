@@ -23,7 +23,6 @@ from loopcal.mechanisms.parameters import Parameter, Parameters, matching
 from loopcal.mechanisms.quantity import Quantity
 
 Joints = Annotated[tuple[str, ...], Key("Joints by names or globs.", least=1)]
-Changing = Annotated[tuple[str, ...], Key("Parameters by names or globs.", least=1)]
 Name = Annotated[str, Key("Name of the effect in comparisons of models.")]
 RUN_DRIFTS = RUN_DRIFT, RUN_DRIFT_TURNS = "run_drift", "run_drift_turns"
 """Names of the effect, and of its terms, of a drift that is there because the joints tell the order

@@ -18,14 +18,16 @@ from loopcal.estimation.problem.alignment import align
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.recognition.dh_table import Row, read_dh
 from loopcal.files.recognition.fields import in_si
-from loopcal.files.recognition.observations import Observation, observations, seen_as
 from loopcal.files.recognition.robots import joint_table
 from loopcal.files.recognition.rows import (
+    Observation,
     Rows,
     joints_in,
     later_rows,
+    observations,
     reach,
     rows_of,
+    seen_as,
     with_readings,
 )
 from loopcal.files.tables.writer import table_bytes

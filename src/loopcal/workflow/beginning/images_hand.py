@@ -17,9 +17,8 @@ from loopcal.estimation.cameras.start import (
 from loopcal.files.cameras.folder import Files
 from loopcal.files.cameras.places import PlaceTable, read_places
 from loopcal.files.machines.mechanism_file import mechanism_from_data
-from loopcal.files.recognition.expressions import joint_columns
 from loopcal.files.recognition.fields import Field, in_si, taken_in
-from loopcal.files.recognition.joint_sets import joint_sets
+from loopcal.files.recognition.joint_sets import joint_columns, joint_sets
 from loopcal.files.recognition.robots import Robot
 from loopcal.files.recognition.sources import sources_of
 from loopcal.workflow.beginning.begun import PROJECT, drawn, joint_noise

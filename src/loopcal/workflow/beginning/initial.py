@@ -25,12 +25,11 @@ from loopcal.files.outputs import carried_over, one_command, refuse_foreign, rel
 from loopcal.files.project.project_file import Project, read_project
 from loopcal.files.recognition.conditions import Conditions, apart
 from loopcal.files.recognition.converting import dataset_of
-from loopcal.files.recognition.expressions import joint_columns, turned_columns
 from loopcal.files.recognition.fields import Field, Source
 from loopcal.files.recognition.joins import Fields, joined
+from loopcal.files.recognition.joint_sets import joint_columns, turned_columns
 from loopcal.files.recognition.layouts import Layout, layouts, with_points_for_turns
 from loopcal.files.recognition.logs import at_rest
-from loopcal.files.recognition.observations import observations
 from loopcal.files.recognition.robots import (
     Robot,
     dh_robot,
@@ -39,6 +38,7 @@ from loopcal.files.recognition.robots import (
     typed_robot,
     urdf_robot,
 )
+from loopcal.files.recognition.rows import observations
 from loopcal.files.recognition.sources import refuse_unknown, sources_of_all
 from loopcal.files.tables.writer import table_bytes
 from loopcal.measurements.checks import check_dataset, refuse_lost
@@ -57,9 +57,9 @@ from loopcal.workflow.beginning.delays import Delay, delays
 from loopcal.workflow.beginning.from_images import FromImages, from_images, on_another_link
 from loopcal.workflow.beginning.from_samples import from_samples, samples_of
 from loopcal.workflow.beginning.from_tree import dh_table, from_tree, urdf_table
-from loopcal.workflow.beginning.held import held_readings
 from loopcal.workflow.beginning.images_project import CORNERS
 from loopcal.workflow.beginning.misfits import left_out
+from loopcal.workflow.beginning.misplaced_rows import held_readings
 from loopcal.workflow.beginning.ratios import misstated
 from loopcal.workflow.beginning.robot_file import InitOptions, RobotFile, among, used
 from loopcal.workflow.beginning.searching import (

@@ -31,6 +31,7 @@ from loopcal.workflow.beginning.counting import (
     turned_round,
 )
 from loopcal.workflow.beginning.counts import reads_counts
+from loopcal.workflow.beginning.misplaced_rows import ONE_POSE, reordered
 from loopcal.workflow.beginning.searching import (
     CLEARLY,
     NOTHING,
@@ -39,10 +40,7 @@ from loopcal.workflow.beginning.searching import (
     as_large,
     every_way,
 )
-from loopcal.workflow.beginning.shuffled import reordered
 
-ONE_POSE = 5e-3
-"""A body that moves less than this [m] stands in one pose."""
 _BRACKETS = re.compile(r"(?P<name>[^\[(]+)[\[(](?P<unit>[^\])]+)[\])]")
 _MIRROR = np.array([-1.0, 1.0, 1.0])
 _SHIFTS = (1, -1, 2, -2, 3, -3)

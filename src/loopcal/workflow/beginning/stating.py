@@ -371,7 +371,7 @@ class _Instrument:
                 "uncertainties (k = 2) add coverage = 2 there, and to [[data.source.instrument]]."
             )
         else:
-            sd, source = self._guess(position)
+            sd, source = self._guess()
             shown = "mm" if sd > 1e-4 else "um"
             noise[",".join(self.names())] = (
                 {"tracker": _TRACKER, "estimate": "group"}
@@ -383,7 +383,7 @@ class _Instrument:
             turns = ",".join(f"{self.name}_{w}" for w in ("wx", "wy", "wz"))
             noise[turns] = {"sd": 1e3 * TURN, "unit": "mrad", "estimate": "group"}
 
-    def _guess(self, position: list[Reading]) -> tuple[float, str]:
+    def _guess(self) -> tuple[float, str]:
         if self.kind == "length":
             return WIRE, (
                 f"{self.name}: a guess, {1e3 * WIRE:g} mm, 0.02 % of a wire of 1 m; the "

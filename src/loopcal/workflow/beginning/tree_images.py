@@ -30,8 +30,7 @@ from loopcal.files.cameras.folder import (
     without_files,
 )
 from loopcal.files.recognition.fields import Source
-from loopcal.files.recognition.observations import Observation
-from loopcal.files.recognition.rows import chosen_rows
+from loopcal.files.recognition.rows import Observation, chosen_rows
 from loopcal.files.recognition.sources import sources_of
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics

@@ -14,7 +14,7 @@ from loopcal.files.recognition.joins import Fields
 from loopcal.files.recognition.layouts import Layout
 from loopcal.presentation.shown import significant
 from loopcal.workflow.beginning.counting import Case
-from loopcal.workflow.beginning.mixed import mixed_targets, swapped_targets
+from loopcal.workflow.beginning.misplaced_rows import mixed_targets, swapped_targets
 from loopcal.workflow.beginning.objections import contradiction, objection, shifted
 from loopcal.workflow.beginning.searching import (
     CLEARLY,

@@ -11,9 +11,9 @@ import numpy as np
 from nicegui import background_tasks, ui
 
 from loopcal.companions.app import words
+from loopcal.companions.app.beside import SIZE
 from loopcal.companions.app.controls import reason, written
 from loopcal.companions.app.pictures import Errors, Framed
-from loopcal.companions.app.sizes import SIZE
 from loopcal.companions.app.view import Part, Place, View, heading, table
 from loopcal.companions.app.view import plot as view_plot
 

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.arrays import Array
+from loopcal.companions.robot.programs.coordinates import JointAxes
 from loopcal.companions.robot.programs.copying import NOT_ALONE, NOT_NEXT, literal
 from loopcal.companions.robot.programs.dialect import WAIT, Drive, ProgramDialect, Stops
-from loopcal.companions.robot.programs.joint_axes import JointAxes
-from loopcal.companions.robot.programs.listing import Listing
 from loopcal.companions.robot.programs.program import (
     NUMBER,
+    Listing,
     Move,
     Number,
     Place,

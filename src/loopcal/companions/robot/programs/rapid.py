@@ -16,18 +16,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.arrays import Array
+from loopcal.companions.robot.programs.coordinates import (
+    JointAxes,
+    pose_of_quaternion,
+    quaternion_of_pose,
+)
 from loopcal.companions.robot.programs.copying import NOT_ALONE, movable
 from loopcal.companions.robot.programs.dialect import WAIT, Drive, ProgramDialect, Stops
-from loopcal.companions.robot.programs.joint_axes import JointAxes
-from loopcal.companions.robot.programs.listing import Listing, texts
-from loopcal.companions.robot.programs.poses_text import pose_of_quaternion, quaternion_of_pose
 from loopcal.companions.robot.programs.program import (
     NUMBER,
+    Listing,
     Move,
     Program,
     ProgramTarget,
     Span,
     numbers_of,
+    texts,
     within,
 )
 from loopcal.errors import InputError

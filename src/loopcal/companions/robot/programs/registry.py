@@ -6,8 +6,8 @@ import math
 from pathlib import Path
 
 from loopcal.companions.robot.programs import fanuc, krl, rapid, table, urscript, yaskawa
+from loopcal.companions.robot.programs.coordinates import JointAxes
 from loopcal.companions.robot.programs.dialect import ProgramDialect
-from loopcal.companions.robot.programs.joint_axes import JointAxes
 from loopcal.companions.robot.programs.program import (
     LARGEST,
     Place,

@@ -14,14 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from loopcal.arrays import Array
-from loopcal.companions.robot.programs.dialect import ProgramDialect
-from loopcal.companions.robot.programs.joint_axes import JointAxes
-from loopcal.companions.robot.programs.poses_text import (
+from loopcal.companions.robot.programs.coordinates import (
+    JointAxes,
     pose_of_quaternion,
     pose_of_turns,
     quaternion_of_pose,
     turns_of_pose,
 )
+from loopcal.companions.robot.programs.dialect import ProgramDialect
 from loopcal.companions.robot.programs.program import (
     Move,
     Number,
@@ -32,7 +32,7 @@ from loopcal.companions.robot.programs.program import (
 )
 from loopcal.errors import InputError, listed
 from loopcal.files.tables.cells import number
-from loopcal.files.tables.dialect import WHITESPACE, Dialect, Row, recognise
+from loopcal.files.tables.delimited import WHITESPACE, Dialect, Row, recognise
 from loopcal.files.tables.reader import Layout
 from loopcal.units import unit
 

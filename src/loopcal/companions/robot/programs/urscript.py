@@ -10,12 +10,12 @@ import re
 
 import numpy as np
 
+from loopcal.companions.robot.programs.coordinates import JointAxes
 from loopcal.companions.robot.programs.copying import NOT_ALONE, movable
 from loopcal.companions.robot.programs.dialect import WAIT, Drive, ProgramDialect, Stops
-from loopcal.companions.robot.programs.joint_axes import JointAxes
-from loopcal.companions.robot.programs.listing import Listing
 from loopcal.companions.robot.programs.program import (
     NUMBER,
+    Listing,
     Move,
     Program,
     ProgramTarget,

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import re
 
+from loopcal.companions.robot.programs.coordinates import JointAxes
 from loopcal.companions.robot.programs.dialect import WAIT, Drive, ProgramDialect, Stops
-from loopcal.companions.robot.programs.joint_axes import JointAxes
-from loopcal.companions.robot.programs.listing import Listing
 from loopcal.companions.robot.programs.program import (
+    Listing,
     Move,
     Program,
     ProgramTarget,

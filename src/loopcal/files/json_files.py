@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Mapping
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, NoReturn
 
+from loopcal.document.plain import plain
 from loopcal.errors import InputError
 from loopcal.files.tables.raw import bytes_of
+from loopcal.files.versions import version
 
 _ESCAPED_SURROGATE = re.compile(rb"\\u[dD][89a-fA-F]")
 MOST_BYTES, MOST_PARTS = 100_000_000, 500_000
@@ -92,3 +96,34 @@ def whole_number(digits: str) -> int:
 
 def _refused(constant: str) -> NoReturn:
     raise ValueError(f"it holds {constant}, which JSON does not know")
+
+
+# JSON files of ours: what `files.outputs` knows them by, and the hashes of files beside them.
+
+
+def marked(
+    document: Mapping[str, Any], tables: Mapping[str, str | bytes] | None = None
+) -> dict[str, Any]:
+    """A document as loopcal writes it, with the SHA-256 of the tables that come with it."""
+    head = {"schema": document.get("schema", 1), "loopcal": version()}
+    listed = {} if tables is None else {"files": sums(tables)}
+    return {**head, **document, **listed}
+
+
+def marked_json(
+    document: Mapping[str, Any],
+    tables: Mapping[str, str | bytes] | None = None,
+    *,
+    indent: int | None = 1,
+) -> str:
+    """The text of `marked`."""
+    content = plain(marked(document, tables))
+    return json.dumps(content, indent=indent, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def sums(files: Mapping[str, str | bytes]) -> dict[str, str]:
+    """Name -> SHA-256 of the content."""
+    return {
+        name: sha256(data.encode() if isinstance(data, str) else data).hexdigest()
+        for name, data in files.items()
+    }
