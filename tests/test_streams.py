@@ -272,10 +272,11 @@ def test_interrupted_with_workers_it_ends_and_goes_on(folder: Path, executor: Ex
             raise KeyboardInterrupt
 
     project, threads = folder / "project.toml", threading.active_count()
+    before = set(multiprocessing.active_children())  # those of a test of the app may end later
     with pytest.raises(KeyboardInterrupt):
         run_calibration(project, executor=executor, listeners=Listeners(progress=interrupt))
     assert threading.active_count() <= threads  # one of an earlier test may have ended
-    assert not multiprocessing.active_children()
+    assert before.issuperset(multiprocessing.active_children())
     result = folder / "project-result"
     assert [path.name for path in result.iterdir()] == ["unfinished.json"]
     shutil.copytree(result, folder / "alone")
