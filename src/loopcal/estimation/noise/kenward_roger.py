@@ -57,6 +57,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.arrays import Array
+from loopcal.estimation.dependence.pose_errors import pose_errors
 from loopcal.estimation.dependence.seen import Seen
 from loopcal.estimation.noise.linear_model import projected
 from loopcal.estimation.noise.variances import owners
@@ -97,7 +98,7 @@ class LearntParameters:
     shares of their variances, where ratios at zero are held there; sensors: (c, k, k) = Z_j of
     sensors; loadings: those of the terms, Z_j = loading^T loading; added: (k, k) what the
     covariance of z gains by it; shared: (k, k) what it gains by errors that neighbouring poses
-    share (`further_waves`), None without any.
+    share, None without any.
     """
 
     root: Array
@@ -197,12 +198,21 @@ def learnt_parameters(
     # W = errors errors^T turns sum_jk W_jk Z_j Z_k into a sum of squares along the errors.
     flat = along.reshape(-1, len(added))
     added -= flat.T @ flat
-    shares = shared(estimate.problem, estimate.solution.corrections, equations, sensors.root)
-    printed = None if estimate.prints is None else estimate.prints.gained(sensors.root)
-    if printed is not None:
-        shares = printed if shares is None else shares + printed
+    at, root = estimate.solution, sensors.root
+    gains = (
+        shared(estimate.problem, at.corrections, equations, root),
+        pose_errors(estimate.problem, at.parameters, equations, root),
+        None if estimate.prints is None else estimate.prints.gained(root),
+    )
+    shares = [one for one in gains if one is not None]
     return LearntParameters(
-        sensors.root, errors, relative, sensors.first, tuple(U), 2.0 * added, shares
+        root,
+        errors,
+        relative,
+        sensors.first,
+        tuple(U),
+        2.0 * added,
+        sum(shares[1:], shares[0]) if shares else None,
     )
 
 
