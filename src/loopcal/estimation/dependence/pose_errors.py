@@ -15,15 +15,18 @@ Each image shows z_i = M_i^-1 X_i^T E_i, M_i = X_i^T X_i, with the covariance
 and what is left of E_i says nothing of u_i. With the mean of M_i^-1 - I over the images, vectors of
 k and of that mean make this diagonal, so that each point of a grid of t, c, l costs O(N). The
 estimate stays; its covariance gains sum_ij A_i^T (cov(u_i, u_j) - delta_ij I) A_j, A_i = X_i^T D_i,
-averaged over the grid by restricted likelihood. See docs/decisions/0161.
+averaged over the grid by restricted likelihood. An sd that is learnt as 0 leaves no unit: then the
+unit has as large an effect on the pixels as that of the other, and its I is 0.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.estimation.dependence.seen import Seen, seen
@@ -32,8 +35,10 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.products import rows_times
 from loopcal.mechanisms.parallel.free_body import COLUMNS, POSITION, TURNS
 
-# docs/decisions/0161: what the best placement leaves of simulated arms changes sign at about 1.
-_LENGTHS = (0.5, 0.8, 1.2)
+QUANTITIES = (*POSITION, *TURNS)
+
+# docs/decisions/0161, in units of the root mean square over all pairs of poses.
+_LENGTHS = (0.5, 1.0, 1.5)
 _TURN = 0.3
 """Weight w of turns beside distances, by the same arms."""
 _SHARES = (0.0, 0.25, 0.5, 0.75, 0.97)
@@ -59,19 +64,18 @@ def pose_errors(
     poses = _Poses.of(problem)
     if poses is None or not equations:
         return None
-    names = problem.mechanism.tape.quantities
-    sd = np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)
-    rows = [names.index(q) for q in (*POSITION, *TURNS)]
-    loose = [(sd[part] > 0.0).all() and np.isfinite(sd[part]).all() for part in (rows[:3], rows[3:])]
-    readings = [q for part, yes in zip((POSITION, TURNS), loose, strict=True) if yes for q in part]
-    if not readings:
+    view, learnt = _along_base(seen(problem, equations, root, QUANTITIES), poses.R), np.ones(6)
+    sd = _usual_sds(problem)
+    if not sd.any():
         return None
-    view = seen(problem, equations, root, readings)
-    if loose[1]:
-        view = _along_base(view, poses.R)
+    if not sd.all():  # in SI
+        learnt = (sd > 0.0).astype(float)
+        effect = np.einsum("nqq->q", view.M)
+        turned = float(effect @ sd**2) / float((effect * (1.0 - learnt)).sum())
+        view = _scaled(view, np.where(sd > 0.0, sd, math.sqrt(turned)))
     away = problem.precision * (problem.nominal - parameters[problem.free])
     pull = root.T @ np.where(problem.precision > 0.0, away, 0.0)
-    likelihood = _Likelihood.of(pull, equations, root, view)
+    likelihood = _Likelihood.of(pull, equations, root, view, learnt)
     if likelihood is None:
         return None
     near = poses.take(likelihood.poses)
@@ -85,7 +89,8 @@ def pose_errors(
     weights *= variance / weights.sum()
     A = view.A
     N, q, k = A.shape
-    gained = (float(weights @ (1.0 - share)) - 1.0) * np.einsum("nqi,nqj->ij", A, A)
+    alone = float(weights @ (1.0 - share)) - learnt
+    gained = np.einsum("q,nqi,nqj->ij", alone, A, A)
     flat = A.reshape(N, q * k)
     for i, length in enumerate(_LENGTHS):
         size = float((weights * share)[place == i].sum())
@@ -93,7 +98,7 @@ def pose_errors(
             part = poses.take(np.arange(first, min(first + _MOST, N)))
             along = (part.alike(poses, length) @ flat).reshape(-1, k)
             gained += size * A[first : first + _MOST].reshape(-1, k).T @ along
-    return 0.5 * (gained + gained.T)
+    return np.asarray(0.5 * (gained + gained.T))
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +114,7 @@ class _Poses:
         """Those of the flange of a robot without joints; None of anything else."""
         mechanism = problem.mechanism
         constants, names = [*mechanism.pose_constants], mechanism.tape.quantities
-        stated = {*POSITION, *TURNS} <= {*names} and {*COLUMNS} <= {*constants}
+        stated = {*QUANTITIES} <= {*names} and {*COLUMNS} <= {*constants}
         if mechanism.joints or not stated or len(problem.poses) < 3:
             return None
         w, x, y, z = (problem.pose_constants[constants.index(c)] for c in COLUMNS)
@@ -128,7 +133,7 @@ class _Poses:
         distance, turn = (max(one, 1e-12) for one in spread)
         return cls(p, R, (distance, turn))
 
-    def take(self, index: Array) -> _Poses:
+    def take(self, index: NDArray[np.intp]) -> _Poses:
         """Some of the poses, in the same units."""
         return replace(self, p=self.p[index], R=self.R[index])
 
@@ -147,11 +152,23 @@ class _Poses:
 
 def _along_base(view: Seen, R: Array) -> Seen:
     """With turns about the axes of the base: those of a body are R^T times these."""
-    q = view.y.shape[1]
-    Q = np.broadcast_to(np.eye(q), (len(R), q, q)).copy()
-    Q[:, q - 3 :, q - 3 :] = R
+    Q = np.broadcast_to(np.eye(6), (len(R), 6, 6)).copy()
+    Q[:, 3:, 3:] = R
     y = np.einsum("nij,nj->ni", Q, view.y)
     return Seen(y, Q @ view.A, Q @ view.M @ np.swapaxes(Q, 1, 2))
+
+
+def _scaled(view: Seen, units: Array) -> Seen:
+    """With errors in these units (q,)."""
+    A, M = view.A * units[:, None], view.M * np.multiply.outer(units, units)
+    return Seen(view.y * units, A, M)
+
+
+def _usual_sds(problem: Problem) -> Array:
+    """(6,) the sds of position and turns, 0 where they are learnt as that."""
+    rows = [problem.mechanism.tape.quantities.index(q) for q in QUANTITIES]
+    sd = np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)[rows]
+    return np.asarray(np.median(sd, axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +179,7 @@ class _Likelihood:
     is left, with the prior's.
     """
 
-    poses: Array
+    poses: NDArray[np.intp]
     z: Array
     B: Array
     pixels: Array
@@ -171,7 +188,12 @@ class _Likelihood:
 
     @classmethod
     def of(
-        cls, pull: Array, equations: Sequence[PoseEquations], root: Array, view: Seen
+        cls,
+        pull: Array,
+        equations: Sequence[PoseEquations],
+        root: Array,
+        view: Seen,
+        learnt: Array,
     ) -> _Likelihood | None:
         """None where hardly any image shows its pose."""
         values, vectors = np.linalg.eigh(view.M)
@@ -179,8 +201,7 @@ class _Likelihood:
         size = np.einsum("nqq->n", inverse)
         poses = np.flatnonzero(size <= _POOR * np.median(size))
         poses = poses[:: -(-len(poses) // _MOST)]
-        q = view.y.shape[1]
-        pixels, axes = np.linalg.eigh(inverse[poses].mean(axis=0) - np.eye(q))
+        pixels, axes = np.linalg.eigh(inverse[poses].mean(axis=0) - np.diag(learnt))
         z = np.einsum("nij,nj->ni", inverse, view.y)
         B = inverse @ view.A
         if len(poses) < 3 or not np.isfinite(B).all():
