@@ -38,7 +38,7 @@ from loopcal.mechanisms.parallel.free_body import COLUMNS, POSITION, TURNS
 QUANTITIES = (*POSITION, *TURNS)
 
 # docs/decisions/0161, in units of the root mean square over all pairs of poses.
-_LENGTHS = (0.5, 1.0, 1.5)
+_LENGTHS = (0.5, 0.8, 1.2)
 _TURN = 0.3
 """Weight w of turns beside distances, by the same arms."""
 _SHARES = (0.0, 0.25, 0.5, 0.75, 0.97)
@@ -54,10 +54,11 @@ _LEAST = 1e-8
 
 def pose_errors(
     problem: Problem, parameters: Array, equations: Sequence[PoseEquations], root: Array
-) -> Array | None:
-    """(k, k) what the covariance of z gains, dp = root z, root^T (H + P) root = I.
+) -> tuple[Array, Array] | None:
+    """(k, k) what the covariance of z gains, and by how much one sd of the smooth part changes it.
 
-    parameters (n_all,), equations: where the fit ended; root: (n, k).
+    dp = root z, root^T (H + P) root = I; root: (n, k); parameters (n_all,), equations: where the
+    fit ended.
 
     None where no robot states the poses, or all sds of them are learnt as 0.
     """
@@ -86,19 +87,24 @@ def pose_errors(
     ]
     criteria, place, share, variance = np.array(points).T
     weights = np.exp(-0.5 * (criteria - criteria.min()))
-    weights *= variance / weights.sum()
+    weights /= weights.sum()
+    mean = float(weights @ (variance * share))
+    scatter = math.sqrt(float(weights @ np.square(variance * share - mean)))
+    weights *= variance
     A = view.A
     N, q, k = A.shape
     alone = float(weights @ (1.0 - share)) - learnt
-    gained = np.einsum("q,nqi,nqj->ij", alone, A, A)
+    smooth = np.zeros((k, k))
     flat = A.reshape(N, q * k)
     for i, length in enumerate(_LENGTHS):
         size = float((weights * share)[place == i].sum())
         for first in range(0, N, _MOST):
             part = poses.take(np.arange(first, min(first + _MOST, N)))
             along = (part.alike(poses, length) @ flat).reshape(-1, k)
-            gained += size * A[first : first + _MOST].reshape(-1, k).T @ along
-    return np.asarray(0.5 * (gained + gained.T))
+            smooth += size * A[first : first + _MOST].reshape(-1, k).T @ along
+    smooth = 0.5 * (smooth + smooth.T)
+    gained = np.einsum("q,nqi,nqj->ij", alone, A, A) + smooth
+    return np.asarray(gained), np.asarray(scatter / max(mean, 1e-300) * smooth)
 
 
 @dataclass(frozen=True, eq=False)

@@ -98,7 +98,7 @@ class LearntParameters:
     shares of their variances, where ratios at zero are held there; sensors: (c, k, k) = Z_j of
     sensors; loadings: those of the terms, Z_j = loading^T loading; added: (k, k) what the
     covariance of z gains by it; shared: (k, k) what it gains by errors that neighbouring poses
-    share, None without any.
+    share, None without any; shared_change: of that, by one sd of it, along the last of `errors`.
     """
 
     root: Array
@@ -108,6 +108,7 @@ class LearntParameters:
     loadings: tuple[Array, ...]
     added: Array
     shared: Array | None = None
+    shared_change: Array | None = None
 
     @property
     def gained(self) -> Array:
@@ -129,6 +130,8 @@ class LearntParameters:
         """The covariance of the parameters, and how sure it is itself."""
         first = np.concatenate([self.sensors, *((u.T @ u)[None] for u in self.loadings)])
         along = np.tensordot(self.errors.T, first, 1)
+        if self.shared_change is not None:
+            along[-1] = self.shared_change
         return LearntCovariance(self.matrix, self.plain, self.root @ along @ self.root.T)
 
     def through(self, S: Array) -> LearntCovariance:
@@ -141,6 +144,8 @@ class LearntParameters:
             T = rows_times(R, loading.T)
             parts.append(T @ np.swapaxes(T, -1, -2))
         slopes = np.tensordot(self.errors.T, np.array(parts).reshape(len(parts), *plain.shape), 1)
+        if self.shared_change is not None:
+            slopes[-1] = rows_times(R, self.shared_change) @ turned
         added = rows_times(R, self.gained) @ turned
         return LearntCovariance(plain + added, plain, slopes)
 
@@ -199,9 +204,12 @@ def learnt_parameters(
     flat = along.reshape(-1, len(added))
     added -= flat.T @ flat
     at, root = estimate.solution, sensors.root
+    alike = pose_errors(estimate.problem, at.parameters, equations, root)
+    if alike is not None:  # the last error is that of what neighbouring poses share
+        errors, relative = (np.pad(one, ((0, 0), (0, 1))) for one in (errors, relative))
     gains = (
         shared(estimate.problem, at.corrections, equations, root),
-        pose_errors(estimate.problem, at.parameters, equations, root),
+        None if alike is None else alike[0],
         None if estimate.prints is None else estimate.prints.gained(root),
     )
     shares = [one for one in gains if one is not None]
@@ -213,6 +221,7 @@ def learnt_parameters(
         tuple(U),
         2.0 * added,
         sum(shares[1:], shares[0]) if shares else None,
+        None if alike is None else alike[1],
     )
 
 
