@@ -65,10 +65,10 @@ def pose_errors(
     poses = _Poses.of(problem)
     if poses is None or not equations:
         return None
-    view, learnt = _along_base(seen(problem, equations, root, QUANTITIES), poses.R), np.ones(6)
-    sd = _usual_sds(problem)
-    if not sd.any():
+    sd, learnt = _usual_sds(problem), np.ones(6)
+    if not sd.any() or not np.isfinite(sd).all():
         return None
+    view = _along_base(seen(problem, equations, root, QUANTITIES), poses.R)
     if not sd.all():  # in SI
         learnt = (sd > 0.0).astype(float)
         effect = np.einsum("nqq->q", view.M)
