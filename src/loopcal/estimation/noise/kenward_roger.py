@@ -57,6 +57,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.arrays import Array
+from loopcal.estimation.dependence.pose_errors import pose_errors
 from loopcal.estimation.dependence.seen import Seen
 from loopcal.estimation.noise.linear_model import projected
 from loopcal.estimation.noise.variances import owners
@@ -97,7 +98,7 @@ class LearntParameters:
     shares of their variances, where ratios at zero are held there; sensors: (c, k, k) = Z_j of
     sensors; loadings: those of the terms, Z_j = loading^T loading; added: (k, k) what the
     covariance of z gains by it; shared: (k, k) what it gains by errors that neighbouring poses
-    share (`further_waves`), None without any.
+    share, None without any; shared_change: of that, by one sd of it, along the last of `errors`.
     """
 
     root: Array
@@ -107,6 +108,7 @@ class LearntParameters:
     loadings: tuple[Array, ...]
     added: Array
     shared: Array | None = None
+    shared_change: Array | None = None
 
     @property
     def gained(self) -> Array:
@@ -128,6 +130,8 @@ class LearntParameters:
         """The covariance of the parameters, and how sure it is itself."""
         first = np.concatenate([self.sensors, *((u.T @ u)[None] for u in self.loadings)])
         along = np.tensordot(self.errors.T, first, 1)
+        if self.shared_change is not None:
+            along[-1] = self.shared_change
         return LearntCovariance(self.matrix, self.plain, self.root @ along @ self.root.T)
 
     def through(self, S: Array) -> LearntCovariance:
@@ -140,6 +144,8 @@ class LearntParameters:
             T = rows_times(R, loading.T)
             parts.append(T @ np.swapaxes(T, -1, -2))
         slopes = np.tensordot(self.errors.T, np.array(parts).reshape(len(parts), *plain.shape), 1)
+        if self.shared_change is not None:
+            slopes[-1] = rows_times(R, self.shared_change) @ turned
         added = rows_times(R, self.gained) @ turned
         return LearntCovariance(plain + added, plain, slopes)
 
@@ -197,12 +203,25 @@ def learnt_parameters(
     # W = errors errors^T turns sum_jk W_jk Z_j Z_k into a sum of squares along the errors.
     flat = along.reshape(-1, len(added))
     added -= flat.T @ flat
-    shares = shared(estimate.problem, estimate.solution.corrections, equations, sensors.root)
-    printed = None if estimate.prints is None else estimate.prints.gained(sensors.root)
-    if printed is not None:
-        shares = printed if shares is None else shares + printed
+    at, root = estimate.solution, sensors.root
+    alike = pose_errors(estimate.problem, at.parameters, equations, root)
+    if alike is not None:  # the last error is that of what neighbouring poses share
+        errors, relative = (np.pad(one, ((0, 0), (0, 1))) for one in (errors, relative))
+    gains = (
+        shared(estimate.problem, at.corrections, equations, root),
+        None if alike is None else alike[0],
+        None if estimate.prints is None else estimate.prints.gained(root),
+    )
+    shares = [one for one in gains if one is not None]
     return LearntParameters(
-        sensors.root, errors, relative, sensors.first, tuple(U), 2.0 * added, shares
+        root,
+        errors,
+        relative,
+        sensors.first,
+        tuple(U),
+        2.0 * added,
+        sum(shares[1:], shares[0]) if shares else None,
+        None if alike is None else alike[1],
     )
 
 

@@ -1,0 +1,78 @@
+"""Stated poses whose errors change slowly: sds count what neighbours share, and stay where none do.
+
+The errors are quadratic functions of where the flange is, of zero mean over the box of the poses.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import loopcal as lc
+from loopcal.estimation.calibrate import calibrate
+from loopcal.estimation.fit import Fit
+from loopcal.small_samples import f_limit
+from tests.estimation.cameras.test_image_errors import (
+    CORNER,
+    EYE,
+    MACHINE,
+    NAMES,
+    SIX,
+    Array,
+    images,
+    moved,
+    poses,
+    stated,
+)
+
+SDS = {"[xyz]": 1e-4, "w[xyz]": 1e-4, "eye": 0.2}
+NOISE = lc.Noise(SDS, estimate=dict.fromkeys(SDS, "group"))
+SIZE = 2e-4
+
+
+def bent(T: Array, random: np.random.Generator) -> Array:
+    """These poses with smooth errors of `SIZE` [m, rad]."""
+    v = T[:, :3, 3] / 0.15
+    i, j = np.triu_indices(3)
+    # x^2 has the mean 1/3 and the sd 0.3, x y the sd 1/3.
+    waves = 3.0 * (v[:, i] * v[:, j] - (i == j) / 3.0) / np.sqrt(6.0)
+    error = SIZE * waves @ random.standard_normal((6, 6))
+    off = T.copy()
+    off[:, :3, :3] = Rotation.from_rotvec(error[:, 3:]).as_matrix() @ T[:, :3, :3]
+    off[:, :3, 3] += error[:, :3]
+    return off
+
+
+def calibrated(seed: int, smooth: bool) -> Any:
+    random = np.random.default_rng(seed)
+    T = poses(random, 20)
+    uv = images(bent(T, random) if smooth else moved(T, random, SIZE))
+    uv += random.normal(0.0, CORNER, uv.shape)
+    data = lc.Dataset.from_arrays(stated(T) | dict(zip(NAMES, uv, strict=True)))
+    return calibrate(MACHINE, data, noise=NOISE, fit=Fit(method="implicit-loop", start="nominal"))
+
+
+def judged(seed: int, smooth: bool) -> tuple[bool, float]:
+    """Whether the region of the camera's place holds it, and its sds over those of independence."""
+    result = calibrated(seed, smooth)
+    at = np.array([result.estimated.index(f"eye_{n}") for n in SIX])
+    covariance = result.learnt_covariance.of(at)
+    off = np.array([result.value[f"eye_{n}"] for n in SIX]) - EYE
+    square = off @ np.linalg.solve(covariance.matrix, off)
+    learnt = result.learnt
+    alone = learnt.plain + learnt.root @ learnt.added @ learnt.root.T
+    wider = np.sqrt(np.diag(covariance.matrix) / np.diag(alone)[at]).mean()
+    return bool(square <= f_limit(0.95, 6, covariance.denominator)), float(wider)
+
+
+@pytest.mark.parametrize(
+    ("smooth", "least", "low", "high"), [(True, 0.85, 1.15, 2.0), (False, 0.85, 0.97, 1.15)]
+)
+def test_regions_hold_the_camera(smooth: bool, least: float, low: float, high: float) -> None:
+    draws = [judged(seed, smooth) for seed in range(24)]
+    print(np.mean(draws, axis=0))
+    assert np.mean([held for held, _ in draws]) >= least
+    assert low < np.mean([wider for _, wider in draws]) < high
