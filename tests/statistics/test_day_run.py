@@ -224,7 +224,8 @@ def test_a_drift_has_the_sign_of_the_readings() -> None:
 
 
 def re_zeroed(readings: Any, rng: Rng) -> Any:
-    return readings | {"q3": readings["q3"] - np.where(np.arange(len(readings["q3"])) < 18, 0.0, 1e-3)}
+    step = np.where(np.arange(len(readings["q3"])) < 18, 0.0, 1e-3)
+    return readings | {"q3": readings["q3"] - step}
 
 
 def test_a_zero_that_steps_along_a_day_has_the_sign_it_has_between_days() -> None:
