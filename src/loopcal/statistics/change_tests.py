@@ -59,9 +59,6 @@ _HALVED = 0.5
 # Chosen, not derived: what helps less may be chance. `analyses.what_changed` counts what is named.
 _HELPED, _EXPLAINED = 0.9, 0.1
 """What one change, and all together, leave at most of a misfit that stays gross."""
-# Chosen, not derived: twice the stated sds.
-_UNEXPLAINED = 4.0
-"""A ratio of variances from which one change must halve the misfit."""
 # Chosen, not derived: a variance from fewer is unsure by more than its half.
 _ENOUGH = 5
 """Degrees of freedom from which the poses show their own variance."""
@@ -125,9 +122,7 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
             chosen, system = kept, system.settled(kept)
             apart = {j: system.tests([i for i in kept if i != j]) for j in kept}
             p_values |= {j: tests[j] for j, tests in apart.items() if j in tests}
-    most = _EXPLAINED if system.astray else _HALVED if begun.spread > _UNEXPLAINED else 1.0
-    if system.present > most * begun.present:
-        # What leaves so much of an error that no change explains is not its cause.
+    if system.astray and system.present > _EXPLAINED * begun.present:
         chosen, system = (), begun
     whole, left = begun.innovation(()), system.innovation(chosen).p_value
     if [causes.causes[i].kind for i in chosen[:1]] == ["delay"] and (left or 0.0) < LEVEL:
