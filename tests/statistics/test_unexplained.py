@@ -40,7 +40,7 @@ def test_a_wrong_coupling_of_a_wrist_is_named_by_the_joint_before_it() -> None:
     answer = lc.verdict(result, region=REGION).valid
     assert (answer.passed, answer.code) == (None, "error-follows-joint")
     assert "follows theta_5" in answer.words
-    assert "48 % of its range was measured" in answer.words
+    assert "of whose range 48 % was measured" in answer.words
 
 
 def test_where_all_of_its_range_was_measured_the_stated_sd_holds() -> None:

@@ -401,9 +401,10 @@ _ROWS = (
     ),
     _valid_open(
         "error-follows-joint",
-        "The predicted sd{seen} is {sd_in_region:2} in {where} and {sd_at_poses:2} at the measured "
-        "poses. But what the machine model does not explain follows {joint}, as if {parameter} "
-        "changed with it, and {covered} % of its range was measured: beyond, errors may be larger.",
+        "An error follows {joint}, of whose range {covered} % was measured: the machine model does "
+        "not explain it; it is as if {parameter} changed with the joint. Beyond, errors may be "
+        "larger than the predicted sd{seen}: {sd_in_region:2} in {where} and {sd_at_poses:2} at "
+        "the measured poses.",
         "Check coupling, bearing or foundation of this joint. "
         f"{_ALL_OVER}, or state the region in which you work.",
         _PLAN,
