@@ -223,6 +223,18 @@ def test_a_drift_has_the_sign_of_the_readings() -> None:
     assert [np.sign(point.changes[q].size) for q in "xyz"] == [1.0, -1.0, 1.0]
 
 
+def re_zeroed(readings: Any, rng: Rng) -> Any:
+    step = np.where(np.arange(len(readings["q3"])) < 18, 0.0, 1e-3)
+    return readings | {"q3": readings["q3"] - step}
+
+
+def test_a_zero_that_steps_along_a_day_has_the_sign_it_has_between_days() -> None:
+    """What the true angle exceeds the reading by, as `find_shifts` has it too."""
+    (point,) = later(WORLD, tamper=re_zeroed).shifts.found
+    assert (point.moved, point.names) == ("joint", ("q3",))
+    assert point.changes["q3"].size == pytest.approx(1e-3, rel=0.1)
+
+
 def hung_anew(run: Run, rng: Rng) -> None:
     run.zero += 6e-3
 

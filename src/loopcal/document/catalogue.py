@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from functools import partial
 
 from loopcal.document.another_day import ANOTHER_DAY, TWO_MACHINES
-from loopcal.document.of_images import OF_IMAGES
+from loopcal.document.of_images import IN_IMAGES, OF_IMAGES
 from loopcal.document.verdict import SEVERITIES, Fact, Finding, Row
 
 _AGAIN, _CHECK = "loopcal calibrate {project}", "loopcal check {project}"
@@ -368,33 +368,7 @@ _ROWS = (
         "State the region ([verdict] region).",
         _CHECK,
     ),
-    _valid(
-        "valid-in-image",
-        "Valid where corners were seen in the image: {rms_in_regions:3} rms in image regions not "
-        "used, {rms:3} on images not used.",
-        title="Valid where corners were seen.",
-    ),
-    _valid_open(
-        "in-image-if-sound",
-        "Where corners were seen in the image errors are {rms_in_regions:3} rms in regions not "
-        "used, {rms:3} on images not used. This leaves out what is not sound.",
-        "Mend what is not sound first.",
-        _CHECK,
-        shared="valid-if-sound",
-    ),
-    _not_valid(
-        "image-covered-in-part",
-        "The lens is not known where no corner was seen: {rms_in_regions:3} rms in image regions "
-        "not used instead of {rms:3} on images not used.",
-        "Take images with the board in all parts of the image, most of all near its corners.",
-        _REPORT,
-    ),
-    _valid_open(
-        "image-untested",
-        "No region of the image was left out to test the lens there.",
-        "Validate on other images (--folds 10), of which there are ten or more.",
-        _FOLDS,
-    ),
+    *IN_IMAGES,
     _not_valid(
         "gaps-only",
         "Nothing but gaps was read: no reading says where the machine stands away from the touched "
@@ -423,6 +397,17 @@ _ROWS = (
         "poses.",
         f"{_ALL_OVER}, or state the region in which you work.",
         _PLAN,
+    ),
+    _valid_open(
+        "error-follows-joint",
+        "An error follows {joint}, of whose range {covered} % was measured: the machine model does "
+        "not explain it; it is as if {parameter} changed with the joint. Beyond, errors may be "
+        "larger than the predicted sd{seen}: {sd_in_region:2} in {where} and {sd_at_poses:2} at "
+        "the measured poses.",
+        "Check coupling, bearing or foundation of this joint. "
+        f"{_ALL_OVER}, or state the region in which you work.",
+        _PLAN,
+        title="An error follows {joint}, of whose range {covered} % was measured.",
     ),
     _valid_open(
         "valid-while-parked",

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from loopcal.document.findings import DelayEntry, ScaleEntry
+from loopcal.document.findings import DelayEntry, JointErrorEntry, ScaleEntry
 from loopcal.document.plain import Count, Probability, Size
 from loopcal.mechanisms.effects.effect import LENGTHS, LOAD
 from loopcal.presentation.brief import brief
@@ -150,8 +150,8 @@ class Shifts:
     that fit once the shifts are modelled, empty where none was found; unsure: steps without a sharp
     edge, which slow changes over the run explain as well; told_apart: those found that an error of
     the machine model cannot imitate: steps with an edge sharper than the path of the joints, and
-    drifts of an instrument in an order that the joints do not follow; scales, delay: of what
-    was read, beside what was found.
+    drifts of an instrument in an order that the joints do not follow; scales, delay, joint_error:
+    of what was read, and of what the machine does, beside what was found.
     """
 
     found: tuple[ChangePoint, ...]
@@ -162,6 +162,7 @@ class Shifts:
     told_apart: tuple[ChangePoint, ...] = ()
     scales: tuple[ScaleEntry, ...] = ()
     delay: DelayEntry | None = None
+    joint_error: JointErrorEntry | None = None
 
     def __len__(self) -> int:
         return len(self.found)

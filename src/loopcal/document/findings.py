@@ -162,6 +162,22 @@ class DelayEntry:
 
 
 @dataclass(frozen=True)
+class JointErrorEntry:
+    """An error of the machine that no term explains, and that follows one of its joints."""
+
+    joint: str
+    parameter: str
+    """As if this one changed with the joint."""
+    low: float
+    high: float
+    """Of the joint in the measured poses [SI]."""
+    share: float
+    """Of the squares that the fit leaves, which such a change would explain."""
+    p_value: Probability
+    """Of a share at least so large in independent errors, corrected for the search."""
+
+
+@dataclass(frozen=True)
 class ConflictEntry:
     """An observation beside all others, and by itself."""
 

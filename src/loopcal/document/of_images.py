@@ -39,3 +39,40 @@ OF_IMAGES = (
         _REPORT,
     ),
 )
+IN_IMAGES = (
+    Row(
+        "valid",
+        "info",
+        "valid-in-image",
+        "Valid where corners were seen in the image: {rms_in_regions:3} rms in image regions not "
+        "used, {rms:3} on images not used.",
+        title="Valid where corners were seen.",
+    ),
+    Row(
+        "valid",
+        "caution",
+        "in-image-if-sound",
+        "Where corners were seen in the image errors are {rms_in_regions:3} rms in regions not "
+        "used, {rms:3} on images not used. This leaves out what is not sound.",
+        "Mend what is not sound first.",
+        _CHECK,
+        shared="valid-if-sound",
+    ),
+    Row(
+        "valid",
+        "refuse",
+        "image-covered-in-part",
+        "The lens is not known where no corner was seen: {rms_in_regions:3} rms in image regions "
+        "not used instead of {rms:3} on images not used.",
+        "Take images with the board in all parts of the image, most of all near its corners.",
+        _REPORT,
+    ),
+    Row(
+        "valid",
+        "caution",
+        "image-untested",
+        "No region of the image was left out to test the lens there.",
+        "Validate on other images (--folds 10), of which there are ten or more.",
+        "loopcal calibrate {project} --folds 10",
+    ),
+)

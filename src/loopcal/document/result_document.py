@@ -17,6 +17,7 @@ from loopcal.document.findings import (
     DelayEntry,
     HalvesEntry,
     Identifiability,
+    JointErrorEntry,
     Observability,
     OtherOptimum,
     Outlier,
@@ -256,6 +257,9 @@ class ResultDocument:
     delay: DelayEntry | None = None
     """What was read of the poses beside their neighbours; null: no delay explains
     half of what is left along the motions."""
+    joint_error: JointErrorEntry | None = None
+    """The error of a joint that explains most of what the fit leaves; null: none explains a tenth
+    of it."""
     conflicts: tuple[ConflictEntry, ...] | None = None
     """Each observation beside all others; null: there is but one."""
     data: DataEntry

@@ -70,5 +70,6 @@ def with_findings(document: ResultDocument, findings: Findings) -> ResultDocumen
         other_optima=findings.optima,
         scales=findings.shifts.scales or None,
         delay=findings.shifts.delay,
+        joint_error=findings.shifts.joint_error,
         conflicts=findings.conflicts or None,
     )

@@ -42,6 +42,7 @@ from loopcal.statistics.possible_changes import (
 )
 from loopcal.statistics.run_order import FOLLOWED, order_by_joints, path_cosines, told_by_joints
 from loopcal.statistics.scales import range_zeros, scale_columns, scales
+from loopcal.statistics.unexplained import joint_error
 
 # Chosen, not derived: time and memory of the search.
 MOST_POSES = 5000
@@ -146,7 +147,12 @@ def find_shifts(result: FitResult, *, level: float = 0.01, most: int = MOST) -> 
         return replace(NOT_SEARCHED, level=level)
     with one_blas_thread():
         shifts, fit = Search(ordered_system(result), level).run(most)
-        return replace(shifts, scales=(*scales(fit), *range_zeros(fit)), delay=pose_delay(fit))
+        return replace(
+            shifts,
+            scales=(*scales(fit), *range_zeros(fit)),
+            delay=pose_delay(fit),
+            joint_error=joint_error(fit, level),
+        )
 
 
 def searchable(poses: int) -> bool:

@@ -29,6 +29,7 @@ from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 from loopcal.mechanisms.station import standing
 from loopcal.statistics.case import Begin, Case
 from loopcal.statistics.change_points import apart, find_shifts
+from loopcal.statistics.outlier_search import MOST
 from loopcal.statistics.outliers import find_poses, misfits
 
 if TYPE_CHECKING:
@@ -42,12 +43,13 @@ CERTAIN = 1e-6
 ROUNDS = 2
 """Searches: the second on the fit with what the first found."""
 MOST_OUTLIERS = 0.1
-"""Where more of the poses, and more than one, do not fit, none is discarded: the model is at fault,
-or the sds."""
+"""Where more of the poses, and more than one, do not fit, the model may be at fault, or the sds:
+they are discarded only where they are gross (`_without_gross`)."""
 # Chosen, not derived: a distance is certain (CERTAIN, three coordinates) from 4 times its mean on,
 # and the search costs as much as a fit where poses are many.
 GROSS, FEW = 4.0, 60
-"""Of fewer poses outliers are always sought, of more where one is as many times the mean off."""
+"""Of fewer poses outliers are always sought, of more where one is as many times the mean off. More
+outliers than `MOST_OUTLIERS` are gross where the others are so many times nearer without them."""
 NUMBER = "pose_of_calibration"
 """The known constant that dates the changes: no file has it, so predictions hold after the last."""
 
@@ -128,10 +130,13 @@ def changes(case: Case, way: Fit, whole: FitResult, level: float = CERTAIN) -> C
     rounds = ROUNDS
     while rounds:
         rounds -= 1
+        happened = run_changes.happened
+        if (less := _without_gross(case, way, run_changes)) is not None:
+            run_changes, whole = less
         searched = find_shifts(whole)
         run_changes = replace(run_changes, searched=searched)
         new = [p for p in searched.told_apart if p.p_value < level and apart(p, run_changes.points)]
-        if not new and (run_changes.happened or not _may_hold_outliers(whole)):
+        if not new and (happened or not _may_hold_outliers(whole)):
             break
         # Before what slipped is modelled, a slip looks like a drift of the same things.
         slipped = {p.names for p in new if p.until is None}
@@ -187,7 +192,8 @@ def _without_outliers(case: Case, full: Case, way: Fit, run_changes: Changes) ->
     """
     assert run_changes.whole is not None
     outliers, bad = dict(run_changes.outliers), _certain(run_changes.whole)
-    most = max(MOST_OUTLIERS * len(case.data), 1)
+    gross = len(outliers) > MOST_OUTLIERS * len(case.data)
+    most = max((MOST if gross else MOST_OUTLIERS) * len(case.data), 1)
     if not bad or len(bad) + len(outliers) > most:
         return run_changes
     named = _named_carefully(case, way, run_changes) if way.method.exact else None
@@ -198,6 +204,50 @@ def _without_outliers(case: Case, full: Case, way: Fit, run_changes: Changes) ->
     part = _kept(case, full, np.array(kept, dtype=np.intp))
     less = replace(run_changes, case=part.case, plain=part.plain, kept=part.kept)
     return _fitted(way, replace(less, outliers=outliers | bad), run_changes.whole)
+
+
+def _without_gross(case: Case, way: Fit, run_changes: Changes) -> tuple[Changes, FitResult] | None:
+    """Without gross errors that are more than a tenth of the poses, before the run is searched: a
+    fit that they bend shows nothing of it. None where there are none.
+
+    Errors of the model or sds that are too small do not leave a fit that is so much better, and
+    what moved along the run errs in poses that follow each other.
+    """
+    whole, count = run_changes.whole, len(case.data)
+    if whole is None or run_changes.happened or not _heavy_tailed(whole):
+        return None
+    bad = _certain(whole)
+    gone = np.array([pose in bad for pose in case.data.poses])
+    if not MOST_OUTLIERS * count < gone.sum() <= MOST * count or _follow_each_other(gone):
+        return None
+    part = _kept(case, case, np.flatnonzero(~gone))
+    try:
+        less = _fitted(way, replace(part, outliers=bad))
+    except (InputError, NoTrustworthyResult):
+        return None
+    assert less.whole is not None
+    before, after = whole.accuracy_after, less.whole.accuracy_after
+    gross = before is not None and after is not None and before.rms > GROSS * after.rms
+    return (less, less.whole) if gross else None
+
+
+def _heavy_tailed(whole: FitResult) -> bool:
+    """Whether some pose is many times the median off."""
+    if any(family.form == PIXELS for family in whole.mechanism.families):
+        return False
+    by = whole.deviations(whole.differences_after)
+    off = [d for one in by for d in (one.position, one.angle) if d is not None]
+    return any(np.nanmax(d) > GROSS * np.nanmedian(d) for d in off if np.isfinite(d).any())
+
+
+def _follow_each_other(bad: NDArray[np.bool_]) -> bool:
+    """Whether bad poses stand in less than half of the runs that chance would put them in.
+
+    m of n poses in random order make m (n - m + 1) / n runs (Wald and Wolfowitz 1940).
+    """
+    n, m = len(bad), int(bad.sum())
+    runs = int(bad[0]) + int((bad[1:] > bad[:-1]).sum())
+    return runs < 0.5 * m * (n - m + 1) / n
 
 
 def _certain(whole: FitResult) -> dict[str, Outlier]:

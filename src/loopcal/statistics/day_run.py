@@ -151,10 +151,7 @@ def _system(linear: Linearised, changed: Array) -> OrderedSystem:
     quantities = problem.mechanism.tape.quantities
     zeros = np.flatnonzero(np.isfinite(problem.uncertainty.sd).any(axis=1)).tolist()
     X_rows = np.zeros((len(linear.e), k))
-    # Of an instrument, as in a calibration, what its reading exceeds the true value by; of a joint
-    # what the true value exceeds its reading by, as a zero that changed between two days.
-    sign = np.array([-scale if i in joint_rows(problem) else scale for i in zeros])
-    X_rows[:, zeros] = sign * placement.columns([quantities[i] for i in zeros])
+    X_rows[:, zeros] = scale * placement.columns([quantities[i] for i in zeros])
     Z_rows, D_rows = np.hstack([linear.F, changed, linear.A]), scale * placement.J[:, problem.free]
     E, Z = np.zeros((N, R)), np.zeros((N, R, Z_rows.shape[1]))
     D, X = np.zeros((N, R, D_rows.shape[1])), np.zeros((N, R, k))

@@ -98,16 +98,18 @@ class OrderedSystem:
 
     def columns(self, names: Sequence[str]) -> Array:
         """(N, R, d) of a change of these parameters, zeros of readings or readings in proportion by
-        one [SI]."""
-        quantities = self.problem.mechanism.tape.quantities
+        one [SI]: of a joint what its true value exceeds the reading by, of an instrument what the
+        reading exceeds its true value by."""
+        quantities, joints = self.problem.mechanism.tape.quantities, joint_rows(self.problem)
         changes = []
         for n in names:
             if (stem := n.removesuffix(IN_PROPORTION)) != n:
                 i = quantities.index(stem)
                 read = self.problem.readings[i, self.order]
-                changes.append(-self.X[:, :, i] * read[:, None])
+                changes.append(self.X[:, :, i] * read[:, None])
             elif n in quantities:
-                changes.append(-self.X[:, :, quantities.index(n)])
+                i = quantities.index(n)
+                changes.append(self.X[:, :, i] * (1.0 if i in joints else -1.0))
             elif n in self.problem.names:
                 changes.append(self.D[:, :, self.problem.names.index(n)])
             else:

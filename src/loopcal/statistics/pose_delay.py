@@ -42,7 +42,7 @@ def pose_delay(fit: Fitted) -> DelayEntry | None:
     if not rows or told_by_joints(at) is not None:
         return None
     names = [system.problem.mechanism.tape.quantities[i] for i in rows]
-    along, i = system.columns(names), np.arange(len(at))
+    along, i = -system.columns(names), np.arange(len(at))  # what the readings exceed
     entries = []
     for step in (1, -1):
         to = order[np.clip(i + step, 0, len(at) - 1)]

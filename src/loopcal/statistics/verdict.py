@@ -26,7 +26,7 @@ from loopcal.document import catalogue
 from loopcal.document.accuracy import BoardPlace, Distances
 from loopcal.document.catalogue import CATALOGUE
 from loopcal.document.choice import beats
-from loopcal.document.findings import RegionSd
+from loopcal.document.findings import JointErrorEntry, RegionEntry, RegionSd
 from loopcal.document.fit import ParameterEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Answer, Fact, Figure, Finding, NextStep, Verdict, fact
@@ -162,6 +162,9 @@ _OF_RMS = 0.41
 _ELSEWHERE = 1.5
 """Errors in regions of the image not used over those of images not used, from which the lens is not
 known where no corner was. Chosen: as much again as the corners' noise."""
+# Chosen, not derived: of 20 random poses the joints cover as much.
+_COVERED = 0.9
+"""Share of a joint's range that was measured, from which an error that follows it is seen."""
 _DRAWN = "the nominal machine"
 _BEYOND = (
     "scales-unlike",
@@ -199,8 +202,34 @@ def valid(document: ResultDocument) -> Fact:
         return fact("valid-while-parked", numbers=numbers, joints=joints, moved=moved, seen=seen)
     if worst.sd is None:
         return fact("direction-open", where=where, seen=worst.seen)
-    code = "near-poses-only" if near else "valid-in-region"
-    return fact(code, numbers=_sds(worst), where=where, seen=worst.seen)
+    if near or (follows := _error_beyond(document, region)) is None:
+        code = "near-poses-only" if near else "valid-in-region"
+        return fact(code, numbers=_sds(worst), where=where, seen=worst.seen)
+    error, covered = follows
+    return fact(
+        "error-follows-joint",
+        numbers=_sds(worst),
+        where=where,
+        seen=worst.seen,
+        joint=error.joint,
+        parameter=error.parameter,
+        covered=f"{100.0 * covered:.0f}",
+    )
+
+
+def _error_beyond(
+    document: ResultDocument, region: RegionEntry
+) -> tuple[JointErrorEntry, float] | None:
+    """An error that follows a joint beyond its measured range, and the share of the region's that
+    was measured; None without one."""
+    one = document.joint_error
+    if one is None:
+        return None
+    of = next((r for r in region.ranges if r.quantity == one.joint), None)
+    if of is None or not of.high > of.low:
+        return None
+    covered = (min(one.high, of.high) - max(one.low, of.low)) / (of.high - of.low)
+    return None if covered >= _COVERED else (one, max(covered, 0.0))
 
 
 def _in_image(document: ResultDocument) -> Fact:
