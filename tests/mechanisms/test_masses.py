@@ -232,6 +232,35 @@ def test_a_load_that_changes_along_the_run_is_named(tmp_path: Path) -> None:
     assert "the load on the tool changed" in str(step)
 
 
+def test_another_load_is_as_sure_as_the_masses_it_is_weighed_against(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    true = structured(arm(tmp_path, payload="payload"), harmonics=False, sag=("*_yield",))
+    held = 0
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        days = []
+        for number, (count, load) in enumerate(((60, 0.0), (25, 5.0))):
+            poses = {**lc.random_poses(RANGES, count, seed=2 * seed + number)}
+            poses["payload"] = np.full(count, load)
+            read = lc.simulate(true, poses, noise=NOISE, seed=2 * seed + number, truth=YIELDS)
+            days.append(read.dataset)
+        stated = {k: (m * math.exp(0.2 * rng.normal()), at) for k, (m, at) in LINKS.items()}
+        with monkeypatch.context() as patch:
+            patch.setitem(globals(), "LINKS", stated)
+            drawn = structured(arm(tmp_path), harmonics=False, sag=("*_yield",))
+        first, later = (
+            lc.Dataset.from_arrays({name: day[name] for name in drawn.quantities}) for day in days
+        )
+        result = lc.calibrate(drawn, first, noise=NOISE, method="implicit-loop")
+        changes = lc.verify(result, later).changes
+        assert changes is not None
+        (change,) = (one for one in changes.found if one.kind == "load")
+        assert change.unit == "kg"
+        held += change.low < 5.0 < change.high
+    assert held >= 3
+
+
 @pytest.mark.parametrize(
     ("column", "words"),
     [

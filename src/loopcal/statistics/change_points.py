@@ -38,6 +38,7 @@ from loopcal.statistics.possible_changes import (
     Possible,
     changed_share,
     possible,
+    sd_of,
     unit_of,
 )
 from loopcal.statistics.run_order import FOLLOWED, order_by_joints, path_cosines, told_by_joints
@@ -311,8 +312,9 @@ class Search:
             step.at + 1,
             cast(Moved, change.kind),
             {
-                name: Change(size, sd, "1" if change.parts else unit_of(self.problem, name))
+                name: Change(size, sd_of(size, sd, unit), unit)
                 for name, size, sd in sizes
+                for unit in ["1" if change.parts else unit_of(self.problem, name)]
             },
             estimated.before(spare),
             min(1.0, math.exp(estimated.log_p(spare)) * self.tests[step.ramp]),

@@ -42,7 +42,7 @@ from loopcal.statistics.another_day import Day
 from loopcal.statistics.changed import LEVEL, PLACED, POWER, Candidate, Change, WhatChanged
 from loopcal.statistics.estimated import Estimated
 from loopcal.statistics.innovation import Innovation, Linearised
-from loopcal.statistics.possible_changes import BETWEEN_DAYS, Possible, possible
+from loopcal.statistics.possible_changes import BETWEEN_DAYS, Possible, possible, sd_of
 from loopcal.statistics.replacing import ASTRAY, Replaced
 
 # Chosen, not derived: a cap, and a step that changes no p-value.
@@ -472,7 +472,7 @@ class _System:
             size, sd, t = self._size(j, chosen)
             if one.kind == "expansion":
                 size, sd = self._with_tools(j, chosen)
-            half = t_quantile(0.95, self._freedom(j)) * sd
+            half = t_quantile(0.95, self._freedom(j)) * (sd := sd_of(size, sd, one.unit))
             parts: dict[str, float] = {}
             turn: tuple[float, float] | None = None
             if cause.parts and "rad" in cause.units:

@@ -58,6 +58,9 @@ _USUAL = {
 """The usual size of a change of a kind, by the unit of its part [SI]; any, where none is stated."""
 EXPANSION = "the scale of the machine"
 """The name of its growth in all directions, as it warms up."""
+# Where each mass of a simulated arm was stated with an sd of 20 %, loads were off by 13 %.
+_MASSES = 0.15
+"""Relative sd of a load, which is weighed against the masses that are stated."""
 _PLACE = ("x", "y", "z", "rz", "ry", "rx")
 """Ends of the names of where a camera sits."""
 # As in `change_points`: joints are mastered, tools exchanged, other loads carried and machines warm
@@ -392,6 +395,11 @@ def _dimensions(problem: Problem) -> Iterator[Possible]:
     for p in problem.mechanism.parameters:
         if p.role in GEOMETRY and not p.same:
             yield Possible(p.dimension or p.role, (p.name,))
+
+
+def sd_of(size: float, sd: float, unit: str) -> float:
+    """The sd of the size of a change, by how well what it is measured by is known as well."""
+    return math.hypot(sd, _MASSES * size) if unit == "kg" else sd
 
 
 def _loads(problem: Problem) -> Iterator[Possible]:
