@@ -24,6 +24,8 @@ LONGEST_NAME, LONGEST_TEXT, MOST_NAMES = 80, 2_000, 10
 """Characters of a quoted name and of a whole text, and names of a list, that a message shows."""
 _QUOTED = re.compile(r"""(?<!\w)(['"])(?:\\.|(?!\1(?!\w))[^\\]){0,1000}+\1(?!\w)""", re.DOTALL)
 _OPTION = re.compile(r"loopcal [a-z]+ [^\n;]*|(?<![\w-])--([a-z][a-z-]*)(?: (?=['A-Z0-9]))?")
+NEXT_COMMAND = "Next command:\n"
+"""What stands before the command that an error names."""
 _UNBROKEN = re.compile(r"\S{300,}+")
 
 
@@ -128,8 +130,8 @@ class LoopcalError(Exception):
         """As the command line prints it; as a text the error names arguments of Python."""
         text = f"{self.place}: {self.message}" if self.place else self.message
         text = f"{text}\n  What to do: {self.remedy}" if self.remedy else text
-        label = "Then run" if self.again else "Next command"
-        return f"{text}\n  {label}:\n    {self.command}" if self.command else text
+        label = "Then run:\n" if self.again else NEXT_COMMAND
+        return f"{text}\n  {label}    {self.command}" if self.command else text
 
     def offering(self, *options: str) -> Self:
         """The same error with the options that decide what is open."""

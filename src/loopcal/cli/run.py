@@ -20,7 +20,14 @@ from loopcal.cli.application import app
 from loopcal.cli.next_command import after_usage, fill_in
 from loopcal.cli.output import log, open_streams, print_error, unprinted
 from loopcal.cli.registry import loaded
-from loopcal.errors import LONGEST_TEXT, InputError, LoopcalError, UsageError, short
+from loopcal.errors import (
+    LONGEST_TEXT,
+    NEXT_COMMAND,
+    InputError,
+    LoopcalError,
+    UsageError,
+    short,
+)
 from loopcal.files.outputs import command
 
 try:
@@ -60,7 +67,7 @@ def _run(arguments: Sequence[str] | None) -> int:
         shown = io.StringIO()
         error.show(file=shown)  # type: ignore[attr-defined]
         print_error(shown.getvalue().rstrip("\n"))
-        print_error(f"  Next command:\n    {after_usage(error, asked)}")
+        print_error(f"  {NEXT_COMMAND}    {after_usage(error, asked)}")
         return error.exit_code
     except (KeyboardInterrupt, Abort):
         code = INTERRUPTED

@@ -20,7 +20,7 @@ from loopcal.companions.app.pages import BY_KEY, Step, stand
 from loopcal.companions.app.session import Session
 from loopcal.companions.app.view import Part, Place, View, command, text_block, title
 from loopcal.companions.app.worker import Run
-from loopcal.errors import LoopcalError
+from loopcal.errors import NEXT_COMMAND, LoopcalError
 from loopcal.presentation.shown import shortened
 
 SCRIPTS = {
@@ -334,7 +334,7 @@ def next_command(said: str) -> list[str] | None:
     >>> next_command("loopcal: no\n  Next command:\n    loopcal init a.csv --infer-units")
     ['init', 'a.csv', '--infer-units']
     """
-    _, named, rest = said.partition("Next command:\n")
+    _, named, rest = said.partition(NEXT_COMMAND)
     lines = rest.strip().splitlines()
     try:
         program, *line = shlex.split(lines[0]) if named and lines else [""]
