@@ -84,6 +84,14 @@ class LearntCovariance:
         """Multiplied by a number."""
         return LearntCovariance(factor * self.matrix, factor * self.plain, factor * self.slopes)
 
+    def less(self, part: Array | None) -> LearntCovariance:
+        """Without this part of `matrix`, whose size errs along the last of `slopes`."""
+        if part is None:
+            return self
+        slopes = self.slopes.copy()
+        slopes[-1:] = 0.0
+        return LearntCovariance(self.matrix - part, self.plain, slopes)
+
     def of(self, index: NDArray[np.intp]) -> LearntCovariance:
         """Of some of the estimates."""
         at = (..., index[:, None], index)

@@ -336,8 +336,8 @@ class PredictionEntry:
     typical: Mapping[str, float]
     """Quantity -> median reading [SI]."""
     covariance: tuple[tuple[float, ...], ...] | None
-    """Of the estimated parameters over the determined directions; null: the same as `covariance`
-    of the result."""
+    """Of the estimated parameters over the determined directions; null: the `covariance` of
+    the result, less its `pose_part`."""
     undetermined: tuple[tuple[float, ...], ...]
     """Parameter steps [SI] that neither data nor prior limit."""
     by: tuple[UsualSd, ...] = ()

@@ -114,6 +114,9 @@ class CovarianceEntry:
     unwidened: Rows | None = None
     """The covariance by which the fit weighed its prior: at the sds that it used, were no residuals
     dependent. Rows of its lower triangle; null: it is `plain`, or `matrix` without that."""
+    pose_part: Rows | None = None
+    """What errors that stated poses share with their neighbours add to `matrix`, as sure as the
+    last of `slopes` says. Rows of its lower triangle; null: nothing."""
 
 
 _FEW = 12

@@ -8,6 +8,7 @@ import numpy as np
 
 from loopcal.document.accuracy import AccuracyEntry
 from loopcal.document.fit import ClosureEntry, StatusEntry
+from loopcal.document.plain import lower
 from loopcal.document.result_document import SCHEMA, MechanismEntry, ResultDocument
 from loopcal.estimation.accuracy import accuracy_entry
 from loopcal.estimation.cameras.at_board import pixel_sizes
@@ -50,7 +51,10 @@ def fit_document(result: FitResult) -> ResultDocument:
             )
             for p in result.mechanism.parameters
         ),
-        covariance=covariance_entry(result.estimated, *spread, result.identifiability.loose),
+        covariance=replace(
+            covariance_entry(result.estimated, *spread, result.identifiability.loose),
+            pose_part=None if result.pose_part is None else lower(result.pose_part),
+        ),
         noise=noise,
         noise_covariances=() if result.fit.solver.exact else joint_covariances(result.problem),
         terms=result.terms_with_parts(),

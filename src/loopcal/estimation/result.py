@@ -151,8 +151,21 @@ class FitResult:
         """The drift that the covariance allows for, None without serial dependence."""
         return None if self._depending is None else self._depending.drifting
 
+    @cached_property
+    def pose_part(self) -> Array | None:
+        """(n, n) what `covariance` gains by errors that stated poses share with their neighbours.
+
+        Other poses of the same robot share them too: predictions leave it out. None without any.
+        """
+        if self.drifting is not None or self.learnt is None or self.learnt.alike is None:
+            return None
+        factor = self._variance_factor if self.variance_factor_applied else None
+        root = self.learnt.root
+        return np.asarray((factor or 1.0) * root @ self.learnt.alike[0] @ root.T)
+
     def covariance_through(self, S: Array, drifting: Drifting | None) -> LearntCovariance:
-        """Of S (N, m, n) times the estimated parameters, under a known drift, or without any."""
+        """Of S (N, m, n) times the estimated parameters, under a known drift, or without any, for
+        predictions: without `pose_part`."""
         if drifting is not None:
             under_drift = covariance_under(
                 drifting, self.problem, self.solution, self.pose_equations()
@@ -160,6 +173,7 @@ class FitResult:
             covariance = LearntCovariance.certain(under_drift).through(S)
         else:
             learnt = None if self.variance_factor_applied else self.learnt
+            learnt = learnt and replace(learnt, alike=None)
             covariance = (learnt or self._independent).through(S)
         return covariance if self.inherited is None else self.inherited.added_to(covariance, S)
 

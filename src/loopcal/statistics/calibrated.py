@@ -53,7 +53,7 @@ class Calibrated:
     scatter: the covariance (n_all, n_all) that the poses themselves show, where it is known;
     hidden: quantities that no sensor reads, and where they usually are [SI]; conditions: in which
     it was measured (`FitResult.conditions`); sound: what its verdict says of it, None of a fit that
-    was not judged.
+    was not judged; pose_part: (n_all, n_all) of the covariance (`FitResult.pose_part`).
     """
 
     name: str
@@ -73,6 +73,7 @@ class Calibrated:
     hidden: Mapping[str, float] = field(default_factory=dict)
     conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     sound: Answer | None = None
+    pose_part: Array | None = None
 
     @classmethod
     def of(cls, result: FitResult, name: str) -> Calibrated:
@@ -99,6 +100,7 @@ class Calibrated:
             seen and seen.through(np.eye(size)[:, free]),
             _hidden(result),
             result.conditions,
+            pose_part=_square(result.pose_part, free, size),
         )
 
     @classmethod
@@ -143,6 +145,7 @@ class Calibrated:
             hidden={} if stored is None else {q: stored.typical[q] for q in stored.unmeasured},
             conditions={} if stored is None else stored.conditions,
             sound=None if document.verdict is None else document.verdict.sound,
+            pose_part=_square(stored_pose_part(document.covariance), free, len(names)),
         )
 
     @property
@@ -177,7 +180,13 @@ class Calibrated:
             undetermined=M @ self.undetermined,
             gain=None if self.gain is None else M @ self.gain @ M.T,
             scatter=self.scatter and self.scatter.through(M),
+            pose_part=None if self.pose_part is None else M @ self.pose_part @ M.T,
         )
+
+    @property
+    def predicting(self) -> Calibrated:
+        """For other poses of the same robot, which share errors of its stated poses."""
+        return replace(self, covariance=self.covariance.less(self.pose_part), pose_part=None)
 
     @property
     def stationed(self) -> Calibrated:
@@ -285,6 +294,10 @@ def _freedom(document: ResultDocument) -> int:
     return 0 if index is None else index.value - document.identifiability.rank
 
 
+def _square(part: Array | None, free: NDArray[np.intp], size: int) -> Array | None:
+    return None if part is None else LearntCovariance.certain(part).within(size, free).matrix
+
+
 def _rows(part: Array, free: NDArray[np.intp], size: int) -> Array:
     whole = np.zeros((size, part.shape[1]))
     whole[free] = part
@@ -294,12 +307,17 @@ def _rows(part: Array, free: NDArray[np.intp], size: int) -> Array:
 # The covariance of a result's parameters, from what was written of it.
 
 
+def stored_pose_part(entry: CovarianceEntry) -> Array | None:
+    """As `FitResult.pose_part`."""
+    return None if entry.pose_part is None else symmetric(entry.pose_part)
+
+
 def stored_covariance(
     entry: CovarianceEntry, determined: Sequence[Sequence[float]] | None
 ) -> LearntCovariance:
     """The covariance over the determined directions, and how sure it is itself.
 
-    determined: the matrix over these directions where the entry's own has gaps.
+    determined: the matrix over these directions where the entry's own has gaps, for predictions.
     """
     n = len(entry.names)
 
@@ -308,6 +326,8 @@ def stored_covariance(
         return np.asarray(np.nan_to_num(np.array(rows, dtype=float)).reshape(n, n))
 
     matrix = square(entry.matrix if determined is None else determined)
+    if determined is not None and (part := stored_pose_part(entry)) is not None:
+        matrix = matrix + part
     plain = matrix if entry.plain is None else symmetric(entry.plain)
     slopes = np.array([symmetric(s) for s in entry.slopes]).reshape(-1, n, n)
     return LearntCovariance(matrix, plain, slopes)

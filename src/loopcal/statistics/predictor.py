@@ -36,6 +36,7 @@ from loopcal.statistics.calibrated import (
     residual_factor,
     residual_variance,
     stored_covariance,
+    stored_pose_part,
 )
 from loopcal.statistics.other_conditions import MEASURE, unlike
 
@@ -167,6 +168,8 @@ def predictor_of(document: ResultDocument, mechanism: Mechanism) -> Predictor:
     if stored is None:
         raise without_outputs(mechanism)
     rejected = rejected_by(document.chi_squared, document.variance_factor_applied)
+    covariance = stored_covariance(document.covariance, stored.covariance)
+    covariance = covariance.less(stored_pose_part(document.covariance))
     readings = ReadingNoise.of(document.noise, document.noise_covariances, stored.unmeasured)
     if any(q in readings.sds and q not in mechanism.quantities for q in disturbances(mechanism)):
         mechanism = with_model_error(mechanism)
@@ -179,7 +182,7 @@ def predictor_of(document: ResultDocument, mechanism: Mechanism) -> Predictor:
     return Predictor(
         mechanism.with_nominal({p.name: p.value for p in document.parameters}),
         names,
-        by_residuals(stored_covariance(document.covariance, stored.covariance), rejected),
+        by_residuals(covariance, rejected),
         steps,
         readings.scaled_by(residual_factor(rejected)),
         usual,
@@ -215,7 +218,7 @@ def predictor(result: FitResult) -> Predictor | None:
     made = predictor_at(
         problem,
         result.calibrated,
-        by_residuals(result.learnt_covariance, rejected),
+        by_residuals(result.learnt_covariance.less(result.pose_part), rejected),
         result.spectrum,
         x,
         ReadingNoise.of(result.noise, joint, unmeasured).scaled_by(factor),
@@ -257,7 +260,7 @@ def _at_poses(result: FitResult) -> Array | None:
     chi = result.chi_squared
     factor = chi.variance_factor if chi is not None and result.variance_factor_applied else None
     shared: Array = (factor or 1.0) * (learnt.root @ learnt.shared @ learnt.root.T)
-    return result.covariance - shared
+    return result.learnt_covariance.less(result.pose_part).matrix - shared
 
 
 def predictor_at(

@@ -14,7 +14,9 @@ from scipy.spatial.transform import Rotation
 import loopcal as lc
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.fit import Fit
+from loopcal.estimation.fit_document import fit_document
 from loopcal.small_samples import f_limit
+from loopcal.statistics.calibrated import Calibrated
 from tests.estimation.cameras.test_image_errors import (
     CORNER,
     EYE,
@@ -33,13 +35,13 @@ NOISE = lc.Noise(SDS, estimate=dict.fromkeys(SDS, "group"))
 SIZE = 2e-4
 
 
-def bent(T: Array, random: np.random.Generator) -> Array:
-    """These poses with smooth errors of `SIZE` [m, rad]."""
+def bent(T: Array, amplitudes: Array) -> Array:
+    """These poses with smooth errors of `SIZE` [m, rad]; amplitudes: (6, 6), normal."""
     v = T[:, :3, 3] / 0.15
     i, j = np.triu_indices(3)
     # x^2 has the mean 1/3 and the sd 0.3, x y the sd 1/3.
     waves = 3.0 * (v[:, i] * v[:, j] - (i == j) / 3.0) / np.sqrt(6.0)
-    error = SIZE * waves @ random.standard_normal((6, 6))
+    error = SIZE * waves @ amplitudes
     off = T.copy()
     off[:, :3, :3] = Rotation.from_rotvec(error[:, 3:]).as_matrix() @ T[:, :3, :3]
     off[:, :3, 3] += error[:, :3]
@@ -49,7 +51,7 @@ def bent(T: Array, random: np.random.Generator) -> Array:
 def calibrated(seed: int, smooth: bool) -> Any:
     random = np.random.default_rng(seed)
     T = poses(random, 20)
-    uv = images(bent(T, random) if smooth else moved(T, random, SIZE))
+    uv = images(bent(T, random.standard_normal((6, 6))) if smooth else moved(T, random, SIZE))
     uv += random.normal(0.0, CORNER, uv.shape)
     data = lc.Dataset.from_arrays(stated(T) | dict(zip(NAMES, uv, strict=True)))
     return calibrate(MACHINE, data, noise=NOISE, fit=Fit(method="implicit-loop", start="nominal"))
@@ -76,3 +78,36 @@ def test_regions_hold_the_camera(smooth: bool, least: float, low: float, high: f
     print(np.mean(draws, axis=0))
     assert np.mean([held for held, _ in draws]) >= least
     assert low < np.mean([wider for _, wider in draws]) < high
+
+
+@pytest.mark.parametrize("smooth", [True, False])
+def test_other_images_of_the_same_robot_share_the_error(smooth: bool) -> None:
+    inside, squares = [], []
+    for seed in range(12):
+        random = np.random.default_rng(seed)
+        poses(random, 20)
+        amplitudes = random.standard_normal((6, 6))  # as in `calibrated`
+        random = np.random.default_rng(1000 + seed)
+        T = poses(random, 60)
+        uv = images(bent(T, amplitudes) if smooth else moved(T, random, SIZE))
+        stated_by_fit = lc.predict(calibrated(seed, smooth), stated(T))
+        at = [[*stated_by_fit.outputs].index(name) for name in NAMES[:2]]
+        off = np.array([uv[i] - stated_by_fit.outputs[NAMES[i]] for i in range(2)]).T
+        C = stated_by_fit.covariance[:, at][:, :, at]
+        square = np.einsum("ni,nij,nj->n", off, np.linalg.inv(C), off)
+        inside.append(square <= f_limit(0.95, 2, stated_by_fit.freedom[:, at[0]]))
+        squares.append(square / 2.0)
+    print(np.mean(inside), np.sqrt(np.mean(squares)))
+    assert 0.91 <= np.mean(inside) <= 0.985
+    assert 0.85 <= np.sqrt(np.mean(squares)) <= 1.15
+
+
+def test_another_day_reads_from_a_file_what_its_images_share() -> None:
+    result = calibrated(0, True)
+    of_result = Calibrated.of(result, "")
+    of_file = Calibrated.from_document(fit_document(result), result.calibrated, None, "")
+    assert (of_result.predicting.covariance.matrix < of_result.covariance.matrix).diagonal().any()
+    assert not of_result.predicting.covariance.slopes[-1].any()
+    for one in ("matrix", "slopes"):
+        a, b = (getattr(c.predicting.covariance, one) for c in (of_result, of_file))
+        np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-4 * np.abs(a).max())

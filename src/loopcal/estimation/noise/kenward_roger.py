@@ -98,7 +98,8 @@ class LearntParameters:
     shares of their variances, where ratios at zero are held there; sensors: (c, k, k) = Z_j of
     sensors; loadings: those of the terms, Z_j = loading^T loading; added: (k, k) what the
     covariance of z gains by it; shared: (k, k) what it gains by errors that neighbouring poses
-    share, None without any; shared_change: of that, by one sd of it, along the last of `errors`.
+    share, None without any; alike: the same of stated poses, and how that changes by one sd of it,
+    along the last of `errors`.
     """
 
     root: Array
@@ -108,12 +109,13 @@ class LearntParameters:
     loadings: tuple[Array, ...]
     added: Array
     shared: Array | None = None
-    shared_change: Array | None = None
+    alike: tuple[Array, Array] | None = None
 
     @property
     def gained(self) -> Array:
         """(k, k) all that the covariance of z gains."""
-        return self.added if self.shared is None else self.added + self.shared
+        gained = self.added if self.shared is None else self.added + self.shared
+        return gained if self.alike is None else gained + self.alike[0]
 
     @cached_property
     def plain(self) -> Array:
@@ -130,8 +132,8 @@ class LearntParameters:
         """The covariance of the parameters, and how sure it is itself."""
         first = np.concatenate([self.sensors, *((u.T @ u)[None] for u in self.loadings)])
         along = np.tensordot(self.errors.T, first, 1)
-        if self.shared_change is not None:
-            along[-1] = self.shared_change
+        if self.alike is not None:
+            along[-1] = self.alike[1]
         return LearntCovariance(self.matrix, self.plain, self.root @ along @ self.root.T)
 
     def through(self, S: Array) -> LearntCovariance:
@@ -144,8 +146,8 @@ class LearntParameters:
             T = rows_times(R, loading.T)
             parts.append(T @ np.swapaxes(T, -1, -2))
         slopes = np.tensordot(self.errors.T, np.array(parts).reshape(len(parts), *plain.shape), 1)
-        if self.shared_change is not None:
-            slopes[-1] = rows_times(R, self.shared_change) @ turned
+        if self.alike is not None:
+            slopes[-1] = rows_times(R, self.alike[1]) @ turned
         added = rows_times(R, self.gained) @ turned
         return LearntCovariance(plain + added, plain, slopes)
 
@@ -209,7 +211,6 @@ def learnt_parameters(
         errors, relative = (np.pad(one, ((0, 0), (0, 1))) for one in (errors, relative))
     gains = (
         shared(estimate.problem, at.corrections, equations, root),
-        None if alike is None else alike[0],
         None if estimate.prints is None else estimate.prints.gained(root),
     )
     shares = [one for one in gains if one is not None]
@@ -221,7 +222,7 @@ def learnt_parameters(
         tuple(U),
         2.0 * added,
         sum(shares[1:], shares[0]) if shares else None,
-        None if alike is None else alike[1],
+        alike,
     )
 
 
