@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import zlib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import loopcal as lc
+from analyses.gauntlet_days import made
+from analyses.gauntlet_kinds import KINDS
 from analyses.layouts import World, described, of, predicted_error, written, xyz
+from analyses.lives_truth import write_readings
 
 Changes = dict[tuple[int, int], float]
 
@@ -61,3 +65,14 @@ def test_drives_with_the_stated_ratios_are_no_fault(tmp_path: Path, robot: str) 
     for seed in (11, 12):
         data, _ = _written(tmp_path, World(robot, seed, poses=40), {})
         assert lc.init(data, dh=tmp_path / "dh.csv").mechanism
+
+
+def test_a_soft_arm_has_the_stated_ratios(tmp_path: Path) -> None:
+    """It sinks by up to 5 mrad as it reaches out: as if J3 moved with J2 too, by 0.7 %."""
+    user = KINDS["two stations"].machine(17104)
+    rng = np.random.default_rng([zlib.crc32(b"two stations"), 17104])
+    day, _ = made(user, user.poses, rng, None, None, user.stations)
+    write_readings(tmp_path / "day-1.csv", user, day.joints, day.points, day.columns)
+    option, file = user.description(tmp_path)
+    assert option == "--urdf"
+    assert lc.init(tmp_path / "day-1.csv", urdf=tmp_path / file).mechanism

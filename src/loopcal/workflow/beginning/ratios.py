@@ -6,6 +6,10 @@ machine's constants may move (see `weighing`), the residuals v and their derivat
 is estimated, and d = q_j dv/dq_i, show what such a ratio would explain (a score test, Rao 1948):
 
     M = I - A A^+,    k = -d' M v / (d' M d),    the sum of squares falls by (d' M v)^2 / (d' M d).
+
+A soft arm that sinks a little more as it reaches out does nearly the same. The moment of a weight
+along c at the point p about joint i is in proportion to dp_c/dq_i, so the columns dv/dq_i dp_c/dq_i
+of all joints and the three axes c show what giving way would explain.
 """
 
 from __future__ import annotations
@@ -15,6 +19,7 @@ from itertools import product
 
 import numpy as np
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.presentation.shown import with_unit
 from loopcal.units import from_si, unit
@@ -29,7 +34,8 @@ _HELPS = 0.7
 
 
 def misstated(machine: Machine, way: Understood) -> InputError | None:
-    """The refusal where ratios leave less than a third of what the best constants leave."""
+    """The refusal where ratios leave less than a third of what the best constants leave, also where
+    the joints give way."""
     if machine.frame is not None or not way.seen:
         return None
     pairs: list[tuple[str, str]] = []
@@ -45,7 +51,9 @@ def misstated(machine: Machine, way: Understood) -> InputError | None:
         if fit.rms > _HELPS * best.rms:
             break
         pairs, best = more, fit
-    if before is None or best is None or before.rms < CLEARLY * best.rms:
+    if before is None or best is None:
+        return None
+    if _giving_way(before) * before.rms < CLEARLY * best.rms:
         return None
     ratios = dict(zip(pairs, best.multiples.tolist(), strict=True))
     if any(_share(way, pair, k) < LEAST for pair, k in ratios.items()):
@@ -70,14 +78,29 @@ def _further(
     by = np.array([way.joints[other][fit.rows] for _, other in others]).T
     d = np.zeros((len(fit.left), len(others)))
     d[: len(moved)] = moved * np.repeat(by, 3, axis=0)
-    U, s, _ = np.linalg.svd(fit.derivatives, full_matrices=False)
-    U = U[:, s > 1e-12 * s[0]]
+    U = _onto(fit.derivatives)
     d -= U @ (U.T @ d)
     squares, along = np.square(d).sum(axis=0), d.T @ fit.left
     k = np.divide(along, squares, out=np.zeros_like(along), where=squares > 1e-12 * squares.max())
     sizes = np.array([_share(way, pair, 1.0) for pair in others])
     gains = np.where(np.abs(k) * sizes >= LEAST, k * along, 0.0)
     return [others[i] for i in np.argsort(-gains)[:_TRIED] if gains[i] > 0.0]
+
+
+def _giving_way(fit: Refined) -> float:
+    """The share of the misfit that is left where every joint gives way under a weight."""
+    J = fit.by_joints.reshape(-1, 3, fit.by_joints.shape[1])
+    moments = np.einsum("nai,nci->naic", J, J).reshape(len(fit.by_joints), -1)
+    columns = np.zeros((len(fit.left), moments.shape[1]))
+    columns[: len(moments)] = moments
+    U = _onto(np.column_stack([fit.derivatives, columns]))
+    return float(np.linalg.norm(fit.left - U @ (U.T @ fit.left)) / np.linalg.norm(fit.left))
+
+
+def _onto(A: Array) -> Array:
+    """Orthonormal columns that span those of A."""
+    U, s, _ = np.linalg.svd(A / np.maximum(np.linalg.norm(A, axis=0), 1e-300), full_matrices=False)
+    return np.asarray(U[:, s > 1e-12 * s[0]])
 
 
 def _refusal(
