@@ -214,7 +214,10 @@ def _without_gross(case: Case, way: Fit, run_changes: Changes) -> tuple[Changes,
     what moved along the run errs in poses that follow each other.
     """
     whole, count = run_changes.whole, len(case.data)
-    if whole is None or run_changes.happened or not _heavy_tailed(whole):
+    if whole is None or run_changes.happened:
+        return None
+    off = _far_off(whole)  # those that the fit hides are at most as many again
+    if off.sum() < 0.5 * MOST_OUTLIERS * count or _follow_each_other(off):
         return None
     bad = _certain(whole)
     gone = np.array([pose in bad for pose in case.data.poses])
@@ -231,13 +234,16 @@ def _without_gross(case: Case, way: Fit, run_changes: Changes) -> tuple[Changes,
     return (less, less.whole) if gross else None
 
 
-def _heavy_tailed(whole: FitResult) -> bool:
-    """Whether some pose is many times the median off."""
+def _far_off(whole: FitResult) -> NDArray[np.bool_]:
+    """(N,) the poses that are many times the median off; none of images."""
+    off = np.zeros(len(whole.problem.poses), dtype=bool)
     if any(family.form == PIXELS for family in whole.mechanism.families):
-        return False
-    by = whole.deviations(whole.differences_after)
-    off = [d for one in by for d in (one.position, one.angle) if d is not None]
-    return any(np.nanmax(d) > GROSS * np.nanmedian(d) for d in off if np.isfinite(d).any())
+        return off
+    for one in whole.deviations(whole.differences_after):
+        for d in (one.position, one.angle):
+            if d is not None and np.isfinite(d).any():
+                off |= np.nan_to_num(d) > GROSS * np.nanmedian(d)
+    return off
 
 
 def _follow_each_other(bad: NDArray[np.bool_]) -> bool:

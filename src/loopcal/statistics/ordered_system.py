@@ -335,6 +335,25 @@ class Fitted:
         least = absorbed * max(float(np.trace(Q)), 1e-300)
         return Estimated.of(flat.T @ self.left.ravel(), Q - W @ W.T, scale, least)
 
+    def steps(self, column: Array, waves: Sequence[Array]) -> list[Estimated]:
+        """As `step` of a column (N, R) times each of these functions (N, d) of the pose."""
+        c = (self.T @ column[:, :, None])[:, :, 0]
+        turned = np.einsum("nsr,ns->nr", self.T, c)[:, None, :]
+        onto = np.concatenate([(turned @ Z)[:, 0] for Z in (self.more, self.system.Z)], axis=1)
+        along, squares = (c * self.left).sum(axis=1), np.square(c).sum(axis=1)
+        W = np.concatenate(waves, axis=1).T @ onto @ self._factor.root
+        made, first = [], 0
+        for wave in waves:
+            length = np.sqrt(squares @ np.square(wave))
+            scale = 1.0 / np.where(length > 0.0, length, 1.0)
+            Q = (wave * scale).T @ (squares[:, None] * wave * scale)
+            taken = scale[:, None] * W[first : first + len(scale)]
+            first += len(scale)
+            least = _ABSORBED * max(float(np.trace(Q)), 1e-300)
+            score = scale * (along @ wave)
+            made.append(Estimated.of(score, Q - taken @ taken.T, scale, least))
+        return made
+
     def by_pose(self, column: Array) -> tuple[Array, Array]:
         """(N,) each: the products with what is left, and with itself, of what all else leaves of a
         column (N, R, 1)."""

@@ -18,6 +18,7 @@ import math
 
 import numpy as np
 
+from loopcal.arrays import Array
 from loopcal.document.findings import JointErrorEntry
 from loopcal.estimation.dependence.dependence import joint_rows
 from loopcal.mechanisms.mechanism import PIXELS
@@ -41,18 +42,21 @@ def joint_error(fit: Fitted, level: float) -> JointErrorEntry | None:
     names = [n for n in problem.names if n in parameters and parameters[n].role in _ROLES]
     if not names:
         return None
-    pairs: list[tuple[float, float, str, int]] = []
-    columns = system.columns(names)
+    waves: dict[int, Array] = {}
     for row in joint_rows(problem):
         q = problem.readings[row, system.order]
         if not np.isfinite(q).all() or not np.ptp(q):
             continue
         slides = mechanism.quantities[mechanism.tape.quantities[row]] != "rad"
         phase = math.pi * (q - q.min()) / np.ptp(q) if slides else q
-        waves = np.column_stack([np.cos(phase), np.sin(phase)])
-        for j, name in enumerate(names):
-            one = fit.step(columns[:, :, j : j + 1] * waves[:, None, :])
-            pairs.append((one.log_p(fit.spare), one.before(fit.spare) / fit.spare, name, row))
+        waves[row] = np.column_stack([np.cos(phase), np.sin(phase)])
+    pairs = [
+        (one.log_p(fit.spare), one.before(fit.spare) / fit.spare, name, row)
+        for name in (names if waves else ())
+        for row, one in zip(
+            waves, fit.steps(system.columns([name])[:, :, 0], [*waves.values()]), strict=True
+        )
+    ]
     log_p, share, name, row = min(pairs, default=(0.0, 0.0, "", 0))
     p_value = min(1.0, math.exp(log_p) * len(pairs))
     if share < _LEAST or p_value >= level:
