@@ -175,7 +175,7 @@ def fitted(state: State, once: Once) -> State:
     from loopcal.estimation.noise.estimation import estimate_noise
 
     learnt, noise = components(problem, state.noise), state.noise
-    estimate = estimate_noise(problem, learnt, solved, begin=noise.begin, near=noise.roughly)
+    estimate = estimate_noise(problem, learnt, solved, begin=noise.begin, roughly=noise.roughly)
     return replace(_ended(state, estimate.solution), estimate=estimate)
 
 

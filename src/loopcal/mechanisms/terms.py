@@ -73,7 +73,7 @@ def check_terms(terms: Sequence[Term], parameters: Parameters) -> None:
     place = {p.name: i for i, p in enumerate(parameters)}
     units = {p.name: p.unit for p in parameters}
     called = "two terms are called {!r}"
-    refuse_repeated((term.name for term in terms), called, "give each a name of its own")
+    refuse_repeated((term.name for term in terms), called, "give each term another name")
     for term in terms:
         for name in term.parameters:
             if name not in units:

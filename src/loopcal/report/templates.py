@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 
-# A part of a page: sentences, tables and figures in their order; also as a page of its own.
+# Sections: sentences, then tables and figures. Each can also stand alone as a page.
 
 
 Part = Table | Figure | str | None

@@ -216,7 +216,8 @@ def _without_gross(case: Case, way: Fit, run_changes: Changes) -> tuple[Changes,
     whole, count = run_changes.whole, len(case.data)
     if whole is None or run_changes.happened:
         return None
-    off = _far_off(whole)  # those that the fit hides are at most as many again
+    # Of 12 to 25 % of gross errors 6 to 13 % show so in the fit that they bend (record 0163).
+    off = _far_off(whole)
     if off.sum() < 0.5 * MOST_OUTLIERS * count or _follow_each_other(off):
         return None
     bad = _certain(whole)

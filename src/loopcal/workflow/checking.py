@@ -252,5 +252,5 @@ def sensor_noise(
 
 
 def _all_read(project: Project, series: Sequence[Dataset]) -> bool:
-    """Whether joints can be told from instrument: machines with unread quantities cannot."""
+    """Whether all quantities are read. Otherwise joints and instrument cannot be told apart."""
     return all(q in one.readings for one in series for q in project.mechanism.tape.quantities)

@@ -220,14 +220,15 @@ def estimate_noise(
     fit: Fitting,
     *,
     begin: Mapping[str, float] | None = None,
-    near: bool = False,
+    roughly: bool = False,
 ) -> NoiseEstimate:
     """Fit and sds together: those of sensors, and those of the terms of the mechanism.
 
     fit: the method, to its own tolerance or to one given in sds, which is all that early rounds
     with terms need; begin: `NoiseEstimate.factors` of nearly the same machine and readings, from
-    which the sds settle in a few rounds, near: and may settle roughly; by default the search begins
-    at the sds that the problem states. The sds of terms begin at the prior sds of their parameters.
+    which the sds settle in a few rounds; roughly: they may stop near where they would settle. By
+    default the search begins at the sds that the problem states. The sds of terms begin at the
+    prior sds of their parameters.
     """
     spreads = np.array([component.spread for component in components])
     positions = [component.quantities for component in components]
@@ -235,8 +236,8 @@ def estimate_noise(
     if begin is not None:
         best = search.run(
             np.square([begin.get(component.name, 1.0) for component in components]),
-            right=True,
-            near=near,
+            warm=True,
+            roughly=roughly,
         )
     else:
         begun = [np.ones(len(components))]
@@ -324,18 +325,18 @@ class _Search:
                     return other
         return None
 
-    def run(self, ratios: Array, *, right: bool = False, near: bool = False) -> _Round:
+    def run(self, ratios: Array, *, warm: bool = False, roughly: bool = False) -> _Round:
         """Fit and variances in turn, from these ratios, until neither moves.
 
-        right: they are roughly right; near: and may settle roughly. Fits that do not converge end
-        the search, because sds learnt where the loops were left mean nothing. A second fit from
-        there is the last attempt.
+        warm: these are the ratios of nearly the same machine and readings; roughly: they may stop
+        near where they would settle. Fits that do not converge end the search, because sds learnt
+        where the loops were left mean nothing. A second fit from there is the last attempt.
         """
-        start, before, vanish, iterations, failed = self.stated.start, math.inf, right, 0, 0
+        start, before, vanish, iterations, failed = self.stated.start, math.inf, warm, 0, 0
         scales, corrections = scales_of(self.stated), self.stated.first_corrections
-        rough, last = ROUGH if len(scales) and not near else None, math.inf
+        rough, last = ROUGH if len(scales) and not roughly else None, math.inf
         share, stepped = np.ones(len(ratios) + len(scales)), np.zeros(len(ratios) + len(scales))
-        prints = Prints.of(self.stated, near=near)
+        prints = Prints.of(self.stated, near=roughly)
         for number in range(_MOST):
             present = scaled(begun_with(self.stated, scales), self.positions, ratios)
             begun = replace(present, start=start, first_corrections=corrections)
@@ -355,15 +356,15 @@ class _Search:
                 change, others = max(change, by_terms), max(others, by_terms)
             enough = _SETTLED
             if variances.terms is not None or (prints is not None and prints.kept.any()):
-                enough = NEARBY if near or number >= _MOST // 2 else NEAR
+                enough = NEARBY if roughly or number >= _MOST // 2 else NEAR
             # what does not change the criterion, such as a component near zero, is of no account
             ended = change <= enough or abs(before - variances.criterion) <= _BETTER
             if prints is not None and not failed and prints.due(ended=ended, roughly=vanish):
-                asking = not near and (ended or prints.learnt is None)
+                asking = not roughly and (ended or prints.learnt is None)
                 prints = prints.updated(present, solution, common=self.common, asking=asking)
-                settled = 10.0 * PRINTED if near else PRINTED
+                settled = 10.0 * PRINTED if roughly else PRINTED
                 start, ended = prints.held(start), ended and prints.step <= settled
-            if ended and vanish and not failed and (near or rough is None):
+            if ended and vanish and not failed and (roughly or rough is None):
                 return _Round(present, solution, variances, variances.converged, iterations, prints)
             if failed > _FAILURES or _hopeless(solution):
                 break
@@ -372,7 +373,7 @@ class _Search:
             before, learnt = variances.criterion, scales
             if variances.terms is not None:
                 learnt = variances.terms.scales
-                if not near:
+                if not roughly:
                     rough = None if ended else min(rough or ROUGH, _SHARE * change)
                 elif change > 0.5 * last:  # the end of the fit itself keeps them from settling
                     rough = _SHARE * min(rough or ROUGH, change)

@@ -285,8 +285,8 @@ NOT_SOUGHT = (
 """What every result of a stream says."""
 # Chosen, not derived: a figure shows no more points, and the rms of 10,000 is sure to 0.5 %.
 SHOWN, _ALIKE = 10_000, 0.5
-"""About so many poses are kept for figures and tests; a model error is told of where these misfit
-at least this share of what all do."""
+"""Poses that are kept for figures and tests. A model error is only reported where they misfit by
+at least this share of the misfit of all poses."""
 
 
 @dataclass(frozen=True, eq=False)

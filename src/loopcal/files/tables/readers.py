@@ -390,7 +390,9 @@ MOST = 1 << 26
 
 
 def spread_rows(table: Table, columns: Mapping[str, str]) -> Table:
-    """The table with one row for each pose; columns: which of it is pose, label, u and v.
+    """A table of corners as one with a row for each pose.
+
+    columns: the names of its columns of pose, labels, u and v.
 
     Raises InputError for a point that stands twice in one pose, and for a table that would be
     too large.
