@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
 import loopcal as lc
-from loopcal.estimation.problem.problem import build_problem
+from loopcal.estimation.calibrate import calibrate
+from loopcal.estimation.problem.problem import Problem, build_problem
+from loopcal.statistics import causes
+from loopcal.statistics.causes import Suspect, _Guess
+from loopcal.statistics.outlier_search import Search
 from loopcal.statistics.pose_tests import Fitted, try_rows
 from tests.reference.simulated import planar_arm
 
@@ -44,3 +50,31 @@ def test_the_statistic_is_the_least_weighted_square_however_far_a_row_is_from_cl
         start = [row["phi2"], row["phi3"]]
         least = least_squares(weighted, start, args=(row,), xtol=1e-14, ftol=1e-14, gtol=1e-14)
         assert statistic == pytest.approx(2.0 * least.cost, rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize(("reach", "verified"), [(0.1, True), (1.2, False)])
+def test_a_cause_is_verified_only_where_the_parameters_say_where_the_row_belongs(
+    reach: float, verified: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Far from all poses any row fits: one that was read by chance, and one that is right."""
+    arm, noise = lc.motoman_ma1400(), lc.Noise({"theta_*": 5e-5, "xyz": 3e-5})
+    centre = np.array([0.2, 0.7, -0.6, 1.7, 0.3, 1.5])
+
+    def around(poses: int, half: float) -> lc.Dataset:
+        q = centre[:, None] + half * np.random.default_rng(poses).uniform(-1.0, 1.0, (6, poses))
+        where = {f"theta_{i}": row for i, row in enumerate(q, 1)}
+        return lc.simulate(arm, where, noise=noise, seed=poses).dataset
+
+    result = calibrate(arm, around(60, 0.15), noise=noise)
+    search = Search(result, 0.01, "auto")
+    fit, _, _ = search.run()
+    rows = around(3, reach).readings
+    read = np.array([rows[name] for name in search.problem.mechanism.tape.quantities]).T
+
+    def guesses(_problem: Problem, _data: lc.Dataset, suspect: Suspect) -> Iterator[_Guess]:
+        yield _Guess("it was read so", None, read[suspect.pose])
+
+    monkeypatch.setattr(causes, "_guesses", guesses)
+    suspects = [Suspect(pose, 100.0, 3, {}) for pose in range(3)]
+    made = causes.find_causes(search.problem, result.dataset, fit, suspects)
+    assert [one is not None for one in made] == [verified] * 3

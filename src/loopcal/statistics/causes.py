@@ -45,6 +45,11 @@ _RATIOS = {
 }
 
 
+# Chosen, not derived: the sd of what is predicted is then three times that of a reading.
+_SEEN = 0.1
+"""Where the parameters leave less of an equation to test, any row fits, and none is verified."""
+
+
 @dataclass(frozen=True)
 class Suspect:
     """A pose that does not fit: its chi-squared t of so many degrees of freedom.
@@ -104,7 +109,8 @@ def find_causes(
             sd = 0.0 if guess.quantity is None else float(tried.tests.sd[guess.quantity, column])
             # A window of 3 sds either way is 6 sd wide, and holds so many rivals by chance.
             hardly = 6.0 * sd * guess.rivals <= BY_CHANCE
-            if cause is None and p[column] >= FITS and hardly:
+            seen = tried.tests.least[column] >= _SEEN
+            if cause is None and p[column] >= FITS and hardly and seen:
                 cause = Cause(guess.words, guess.quantity, True)
             column += 1
         causes.append(cause)

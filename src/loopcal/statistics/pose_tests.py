@@ -52,7 +52,8 @@ class PoseTests:
     degrees of freedom of the scale, inf where it is known; images: those by which the scale of one
     image differs from that of another, inf where they are alike; shared, sharing: (N,) chi-squared
     of what all corners of an image share, and its degrees of freedom, 0 for other poses; places:
-    degrees of freedom of the scale of that, inf where it is known.
+    degrees of freedom of the scale of that, inf where it is known; least: (N,) the least share of
+    the scatter of an equation that the parameters do not account for.
     """
 
     t: Array
@@ -64,6 +65,7 @@ class PoseTests:
     shared: Array = field(default_factory=lambda: np.zeros(0))
     sharing: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     places: float = math.inf
+    least: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def of_pose(self) -> float:
@@ -183,18 +185,21 @@ def pose_tests(problem: Problem, fit: Fitted, fitted: NDArray[np.bool_]) -> Pose
     t, freedom = np.zeros(N), np.zeros(N, dtype=np.intp)
     w, sd = np.full((k, N), np.nan), np.full((k, N), np.nan)
     shared, sharing = np.zeros(N), np.zeros(N, dtype=np.intp)
+    least = np.ones(N)
     for block in equations:
         if block.E.shape[1]:
             tests = _block(block, fit, fitted[block.poses])
             t[block.poses], freedom[block.poses] = tests.t, tests.freedom
             w[:, block.poses], sd[:, block.poses] = tests.w, tests.sd
             shared[block.poses], sharing[block.poses] = tests.shared, tests.sharing
+            least[block.poses] = tests.least
     hidden = np.isinf(np.broadcast_to(problem.uncertainty.sd, w.shape))
     w[hidden] = np.nan
     # Of what few images say of their places, the parameters take up as many numbers.
     said = float(max(sharing[fitted].sum() - len(fit.covariance), fitted.sum(), 1))
     places = math.inf if math.isinf(fit.denominator) else said
-    return PoseTests(t, freedom, w, sd, fit.denominator, fit.images, shared, sharing, places)
+    scales = fit.denominator, fit.images
+    return PoseTests(t, freedom, w, sd, *scales, shared, sharing, places, least)
 
 
 def _block(block: PoseEquations, fit: Fitted, fitted: NDArray[np.bool_]) -> PoseTests:
@@ -225,7 +230,9 @@ def _block(block: PoseEquations, fit: Fitted, fitted: NDArray[np.bool_]) -> Pose
     freedom = block.count - (~open_).sum(axis=1)
     shared, sharing = _shared(block, X, lost, along)
     sd = np.where(possible, scale / length, np.nan)
-    return PoseTests(t, freedom, w, sd, shared=shared / fit.factor, sharing=sharing)
+    shared = shared / fit.factor
+    least = redundancy.min(axis=1, initial=1.0)
+    return PoseTests(t, freedom, w, sd, shared=shared, sharing=sharing, least=least)
 
 
 def _shared(
