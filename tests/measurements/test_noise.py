@@ -61,12 +61,11 @@ def test_later_entries_win() -> None:
 
 
 def test_a_further_learnt_sd_leaves_the_rest_as_it_was() -> None:
-    noise = Noise({"*": DatasheetSd(1e-4)}).begun_at({"*": 2.0})
+    noise = Noise({"*": DatasheetSd(1e-4)})
     more = noise.with_learnt("model", 1e-3)
     assert more.entries["model"] == 1e-3
     assert more.estimate == {"model": "group"}
     assert more.by_maker == frozenset({"*"})
-    assert more.begin == {"*": 2.0}
     assert noise.estimate == {}
 
 

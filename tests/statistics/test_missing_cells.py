@@ -6,8 +6,7 @@ import numpy as np
 
 import loopcal as lc
 from loopcal.estimation.problem.problem import build_problem
-from loopcal.estimation.steps import begun_near
-from loopcal.statistics.case import of_poses
+from loopcal.estimation.steps import Near, begun_near
 from loopcal.statistics.validation import unread
 
 STEPS = np.radians(np.arange(0.0, 91.0, 15.0))
@@ -29,9 +28,7 @@ def test_a_fold_begins_where_the_missing_joint_stood() -> None:
 
     index = np.setdiff1d(np.arange(len(data)), [9])  # a neighbour, from which the place holder came
     part = build_problem(whole.mechanism, data.take(index), SDS, whole.value)
-    near = of_poses(values, index)
-    assert near is not None
-    begun = begun_near(part, near)
+    begun = begun_near(part, Near(values).take(index).unread)
     assert begun.first_corrections is not None
     row = whole.mechanism.tape.quantities.index("phi3")
     where = begun.readings[row] + begun.first_corrections[row]

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Unpack
 
 import numpy as np
 
-from loopcal.arrays import Array
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.faults.search import suspicious
 from loopcal.estimation.fit import Fit, FitOptions
@@ -19,7 +17,7 @@ from loopcal.estimation.solve.robust import solve_robust
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solution import Solution
 from loopcal.estimation.solve.solver import Progress
-from loopcal.estimation.steps import STEPS, State, fitted, placed, prepared, refuse_loss
+from loopcal.estimation.steps import STEPS, Near, State, fitted, placed, prepared, refuse_loss
 from loopcal.measurements.copies import copies
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
@@ -33,16 +31,15 @@ def calibrate(
     noise: NoiseLike | None = None,
     fit: Fit | None = None,
     progress: Progress | None = None,
-    near: Mapping[str, Array] | None = None,
+    near: Near | None = None,
     trusted: bool = False,
     **options: Unpack[FitOptions],
 ) -> FitResult:
     """Calibrate a mechanism by one stated method, by default the implicit loop.
 
     As `loopcal.statistics.calibrate.calibrate`, which also chooses the method. near: the fit begins
-    where one of nearly the same readings ended, which found these values (N,) of what no
-    sensor reads, so a misfit is no reason to try other starts; trusted: no fault of the file is
-    sought.
+    where one of nearly the same readings ended, so a misfit is no reason to try other starts;
+    trusted: no fault of the file is sought.
     """
     fit = Fit.of(fit or Fit(method=PLAIN), options)
     state = _without_copies(mechanism, data, Noise.of(noise), fit, near)
@@ -74,7 +71,7 @@ def _without_copies(
     data: Dataset | Any,
     noise: Noise | None,
     fit: Fit,
-    near: Mapping[str, Array] | None = None,
+    near: Near | None = None,
 ) -> State:
     """Where a calibration begins: without the rows that copy others.
 
@@ -90,7 +87,7 @@ def _without_copies(
     if copied.size:
         kept = np.delete(np.arange(len(data)), copied)
         data, noise = data.without_copies(copied), noise and noise.take(kept)
-        near = near and {name: np.delete(values, copied) for name, values in near.items()}
+        near = near and near.take(kept)
     return State(fit, mechanism, data, noise, len(data), near=near)
 
 

@@ -200,12 +200,7 @@ def used_noise(fit: Fit, mechanism: Mechanism, data: Dataset, noise: Noise | Non
     if fit.model_error == "none":
         return noise
     if fit.method.exact:
-        sensor_noise = instrument_noise(mechanism, data)
-        return (
-            sensor_noise
-            if noise is None or noise.begin is None
-            else sensor_noise.begun_at(noise.begin, roughly=noise.roughly)
-        )
+        return instrument_noise(mechanism, data)
     if noise is not None and _isotropic(mechanism) and MODEL not in noise.entries:
         return noise.with_learnt(MODEL, BEGIN)
     return noise

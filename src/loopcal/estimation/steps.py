@@ -20,6 +20,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.document.findings import ColumnFault
@@ -64,14 +65,30 @@ class Once(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
+class Near:
+    """Where a fit of nearly the same readings ended: another one of them begins there.
+
+    unread: values (N,) [SI] of what no sensor reads, by quantity; factors: learnt over stated sds,
+    by name, None where they had not settled; roughly: the search for sds may end near its end.
+    """
+
+    unread: Mapping[str, Array]
+    factors: Mapping[str, float] | None = None
+    roughly: bool = True
+
+    def take(self, index: NDArray[np.intp]) -> Near:
+        """Of the poses at these positions."""
+        return replace(self, unread={name: row[index] for name, row in self.unread.items()})
+
+
+@dataclass(frozen=True, eq=False)
 class State:
     """What is known between two steps.
 
     mechanism, data, noise: what is fitted, in a stream the poses of its first chunk; poses: how
-    many there are in all; whole: these are all poses; near: (N,) values of what no sensor
-    reads, where a fit of nearly the same readings found them; trusted: no fault of the file is
-    sought; faults: of the file; begun: where the fit begins; end: where it ended; estimate: what it
-    learnt of the sds.
+    many there are in all; whole: these are all poses; near: where a fit of nearly the same
+    readings ended; trusted: no fault of the file is sought; faults: of the file; begun: where the
+    fit begins; end: where it ended; estimate: what it learnt of the sds.
     """
 
     fit: Fit
@@ -80,7 +97,7 @@ class State:
     noise: Noise | None
     poses: int
     whole: bool = True
-    near: Mapping[str, Array] | None = None
+    near: Near | None = None
     trusted: bool = False
     faults: tuple[ColumnFault, ...] = ()
     begun: Problem | None = None
@@ -137,7 +154,7 @@ def placed(state: State) -> State:
     if not problem.loops_alike:
         refuse_contradiction(problem, state.data)
     if state.near is not None:
-        problem = begun_near(problem, state.near)
+        problem = begun_near(problem, state.near.unread)
     if problem.weighting is not Weighting.CORRECTED:
         arrays = problem.readings, problem.pose_constants, problem.uncertainty.sd
         refuse_collapse(problem.mechanism, *arrays, priors=not problem.loops_alike)
@@ -174,8 +191,8 @@ def fitted(state: State, once: Once) -> State:
         return tried
     from loopcal.estimation.noise.estimation import estimate_noise
 
-    learnt, noise = components(problem, state.noise), state.noise
-    estimate = estimate_noise(problem, learnt, solved, begin=noise.begin, roughly=noise.roughly)
+    learnt, near = components(problem, state.noise), state.near or Near({})
+    estimate = estimate_noise(problem, learnt, solved, begin=near.factors, roughly=near.roughly)
     return replace(_ended(state, estimate.solution), estimate=estimate)
 
 
@@ -215,14 +232,14 @@ def _fits(state: State, once: Once) -> Callable[..., End[Any]]:
     return solved
 
 
-def begun_near(problem: Problem, near: Mapping[str, Array]) -> Problem:
+def begun_near(problem: Problem, unread: Mapping[str, Array]) -> Problem:
     """The problem, which begins at these values (N,) [SI] of what no sensor reads.
 
     Not at corrections: what stands for a missing reading comes from its neighbours, which differ
     where poses are left out.
     """
     rows = zip(problem.mechanism.tape.quantities, problem.readings, strict=True)
-    first = np.array([near.get(name, row) - row for name, row in rows])
+    first = np.array([unread.get(name, row) - row for name, row in rows])
     return replace(problem, first_corrections=first)
 
 

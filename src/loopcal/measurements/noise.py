@@ -72,10 +72,6 @@ class Noise:
             key for key, value in entries.items() if isinstance(value, Tracker | DatasheetSd)
         )
         """Keys of the entries that follow from a maker's figure."""
-        self.begin: Mapping[str, float] | None = None
-        """Where the search for learnt sds begins, if not at the stated ones; see `begun_at`."""
-        self.roughly = False
-        """Whether that search may end near its end."""
         self.estimate: dict[str | tuple[str, ...], str] = dict((estimate or {}).items())
         for key, how in self.estimate.items():
             _check_key(key)
@@ -91,16 +87,6 @@ class Noise:
         if noise is None or isinstance(noise, Noise):
             return noise
         return cls(noise)
-
-    def begun_at(self, factors: Mapping[str, float], *, roughly: bool = True) -> Noise:
-        """The same noise, with the search for sds begun near where it will end.
-
-        factors: learnt over stated sd, for each name, glob or group that is learnt by itself; what
-        is not named begins at the stated sd; roughly: the search may end near its end.
-        """
-        begun = copy(self)
-        begun.begin, begun.roughly = dict(factors), roughly
-        return begun
 
     def with_learnt(self, key: str, sd: float) -> Noise:
         """The same noise with one further sd, which is learnt; sd: where its search begins."""

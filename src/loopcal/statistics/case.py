@@ -18,13 +18,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.arrays import Array
 from loopcal.estimation.calibrate import calibrate, may_be_faulty
 from loopcal.estimation.fit import Fit, instrument_noise, modelled
 from loopcal.estimation.methods import implicit_loop
 from loopcal.estimation.problem.problem import Weighting
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.solver import Progress
+from loopcal.estimation.steps import Near
 from loopcal.lazy import cached_property
 from loopcal.measurements.copies import copies
 from loopcal.measurements.dataset import Dataset
@@ -71,8 +71,8 @@ class Case:
     data: Dataset
     noise: Noise | None
     fit: Fit
-    near: Mapping[str, Array] | None = None
-    """Values (N,) [SI] of what no sensor reads, where a fit of these readings ended."""
+    near: Near | None = None
+    """Where a fit of these readings ended."""
     trusted: bool = False
     """Whether faults of the file were sought, and there are none."""
     begin: Begin | None = None
@@ -114,7 +114,7 @@ class Case:
             # Copies were sought in all poses; a part might judge the same rows otherwise.
             data = replace(data, source=replace(data.source, judged=True)).take(index)
         noise = taken(self.noise, index)
-        near = of_poses(self.near, index)
+        near = self.near if self.near is None or index is None else self.near.take(index)
         result = calibrate(
             mechanism,
             data,
@@ -129,13 +129,6 @@ class Case:
         # The nominal machine is compared where it was placed, not where this fit began.
         problem = result.problem.with_nominal(result.mechanism)
         return replace(result, fit=self.fit, problem=problem)
-
-
-def of_poses(values: Mapping[str, Array] | None, index: Index | None) -> Mapping[str, Array] | None:
-    """Columns at these positions; index None takes all."""
-    if values is None or index is None:
-        return values
-    return {name: value[index] for name, value in values.items()}
 
 
 def taken(noise: Noise | None, index: Index | None) -> Noise | None:

@@ -17,6 +17,7 @@ from loopcal.document.change_points import ChangePoint
 from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError
 from loopcal.estimation.result import FitResult
+from loopcal.estimation.steps import Near
 from loopcal.mechanisms.effects.effect import OF_INSTRUMENTS
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.statistics.case import Case, Entrant, entrants, without_terms
@@ -84,7 +85,8 @@ def continued(case: Case, ending: Ending) -> FitResult:
     # `near` says that the fit begins near its end: results do not store unread quantities.
     measured = all(q in case.data.readings for q in machine.quantities)
     fit = replace(case.fit, start=start, prior=None, tolerance=case.fit.tolerance or NEARLY)
-    begun = replace(case, mechanism=machine, fit=fit, trusted=True, near={} if measured else None)
+    near = Near({}) if measured else None
+    begun = replace(case, mechanism=machine, fit=fit, trusted=True, near=near)
     return begun.calibrated()
 
 

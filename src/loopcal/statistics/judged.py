@@ -10,6 +10,7 @@ from loopcal.errors import InputError, LoopcalError, NoTrustworthyResult
 from loopcal.estimation.noise.term_parts import Worth, gain, idle, support
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.solver import Progress as Iterated
+from loopcal.estimation.steps import Near
 from loopcal.measurements.noise import MODEL
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.structure.smooth import DISCREPANCY
@@ -53,7 +54,7 @@ def begun(one: Entrant, whole: FitResult | None) -> Entrant:
     case = replace(one.case, trusted=True)
     if whole is not None and not (one.structured or one.drawn):
         near = unread(whole) if len(case.data) == whole.problem.count else {}
-        case = replace(case, begin=Begin.of(whole, case.mechanism), near=near)
+        case = replace(case, begin=Begin.of(whole, case.mechanism), near=Near(near))
     return replace(one, case=case)
 
 
@@ -95,13 +96,16 @@ def lean(case: Case, one: Judged, rule: Rule = IDLE) -> Judged:
         fewer = _with_fewer_terms(case, one, one.whole, rule) or _by_sensors(one, one.whole)
         if fewer is None:
             break
-        begin = Begin.of(one.whole, fewer.case.mechanism)
-        near = replace(fewer.case, trusted=True, begin=begin, near=unread(one.whole))
-        near = replace(near, mechanism=_begun_with(near.mechanism, one.whole))
-        if near.noise is not None and one.whole.estimate and one.whole.estimate.settled:
-            factors = one.whole.estimate.factors
-            near = replace(near, noise=near.noise.begun_at(factors, roughly=False))
-        again = fitted(replace(fewer, case=near))
+        learnt = one.whole.estimate
+        factors = learnt.factors if learnt and learnt.settled else None
+        begun = replace(
+            fewer.case,
+            mechanism=_begun_with(fewer.case.mechanism, one.whole),
+            trusted=True,
+            begin=Begin.of(one.whole, fewer.case.mechanism),
+            near=Near(unread(one.whole), factors, roughly=False),
+        )
+        again = fitted(replace(fewer, case=begun))
         if again.failed:
             break
         one = replace(again, entrant=replace(fewer, case=replace(fewer.case, trusted=True)))

@@ -31,7 +31,7 @@ from loopcal.estimation.problem.problem import Weighting
 from loopcal.estimation.problem.problem import taken as taken_poses
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.scratch import one_blas_thread
-from loopcal.estimation.steps import begun_near
+from loopcal.estimation.steps import Near, begun_near
 from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.execution.forked import process_cores
 from loopcal.measurements.dataset import Dataset
@@ -39,7 +39,7 @@ from loopcal.measurements.noise import Noise
 from loopcal.presentation.brief import brief
 from loopcal.statistics.another_day import Day
 from loopcal.statistics.calibrated import Calibrated
-from loopcal.statistics.case import NEAR, Case, of_poses, taken
+from loopcal.statistics.case import NEAR, Case, taken
 from loopcal.statistics.folds import (
     Index,
     Parts,
@@ -340,10 +340,9 @@ class _Begun:
     @classmethod
     def at(cls, case: Case, whole: FitResult) -> _Begun:
         """Parameters and learnt sds of the calibration of all poses."""
-        noise, learnt = case.noise, whole.estimate
-        if learnt is not None and learnt.settled:
-            # A start, not a value: held sds would hide what they fit too well (record 0061).
-            noise = (noise or Noise({})).begun_at(learnt.factors)
+        # A start, not a value: held sds would hide what they fit too well (record 0061).
+        learnt = whole.estimate
+        factors = learnt.factors if learnt is not None and learnt.settled else None
         # the mechanism of the calibration has the prior already
         fit = replace(case.fit, start=dict(whole.value), prior=None)
         rough = bool(whole.mechanism.learnt_terms) or fit.solver.weighting is Weighting.READ
@@ -354,7 +353,8 @@ class _Begun:
         limit = min(case.fit.max_iterations, max(NEAR, 2 * whole.status.iterations))
         case = replace(case, fit=replace(case.fit, max_iterations=limit))
         same = len(case.data) == whole.problem.count  # no copied rows went
-        near = Case(whole.mechanism, case.data, noise, fit, near=unread(whole) if same else {})
+        begin = Near(unread(whole) if same else {}, factors)
+        near = Case(whole.mechanism, case.data, case.noise, fit, near=begin)
         plain = fit.robust_loss is None and fit.solver.weighting is not Weighting.READ
         return cls(case, near, LeavingOut(whole) if same and plain else None)
 
@@ -366,14 +366,18 @@ class _Begun:
 
     def without(self, begun: Beginning | None) -> Case:
         """The case that begins where a fit without some poses will end, nearly."""
-        near = self.near
+        case = self.near
         if begun is None:
-            return near
-        noise = near.noise
-        if noise and noise.begin:
-            noise = noise.begun_at(begun.factors)
-        fit = replace(near.fit, start=dict(begun.values))
-        return replace(near, mechanism=begun.problem.mechanism, noise=noise, fit=fit)
+            return case
+        assert case.near is not None
+        near = replace(case.near, factors=begun.factors) if case.near.factors else case.near
+        fit = replace(case.fit, start=dict(begun.values))
+        return replace(case, mechanism=begun.problem.mechanism, fit=fit, near=near)
+
+    def unread(self, index: Index) -> Mapping[str, Array]:
+        """Values [SI] of what no sensor reads in the poses at these positions."""
+        assert self.near.near is not None
+        return self.near.near.take(index).unread
 
     def step(self, begun: Beginning, gone: Index) -> Predicted | None:
         """These poses, predicted two steps from the fit of all; None where that does not do."""
@@ -387,8 +391,8 @@ class _Begun:
         if end is None:
             return None
         held = replace(taken_poses(whole.problem, gone), first_corrections=None)
-        if near := of_poses(self.near.near, gone):
-            held = begun_near(held, near)
+        if unread := self.unread(gone):
+            held = begun_near(held, unread)
         held = replace(held, start=end)
         made = _predicted(whole, Held(held, unmeasured_corrections(held, end)), gone)
         return replace(made, fit=None, held=None, stepped=True)
@@ -422,8 +426,8 @@ def _left_out(every: Sequence[_Begun], piece: tuple[int, Index]) -> Outcome:
             if begun.anew:
                 part = case.data.take(index)
                 return _placed_anew(refit, part, taken(case.noise, index), index)
-            near = of_poses(begun.near.near, index)
-            held = held_problem(refit, case.data.take(index), taken(case.noise, index), near)
+            begin = begun.unread(index)
+            held = held_problem(refit, case.data.take(index), taken(case.noise, index), begin)
             return replace(
                 _predicted(refit, held, index), rest=np.setdiff1d(rest, begun.near.copied)
             )

@@ -56,7 +56,7 @@ from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solution import MOST_ITERATIONS, Solution
 from loopcal.estimation.solve.solver import Progress, solve_with
 from loopcal.estimation.solve.sweep import Sweeper
-from loopcal.estimation.steps import LEARNT
+from loopcal.estimation.steps import LEARNT, Near
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.small_samples import LearntCovariance, contrasts
@@ -232,7 +232,7 @@ def _fitted(
     values = placed.problem.readings + placed.corrections
     near = dict(zip(placed.problem.mechanism.tape.quantities, values, strict=True))
     how = Fit(method=method, start=start, tolerance=LEARNT)
-    return calibrate(begun, data, noise=noise, fit=how, near=near, trusted=True)
+    return calibrate(begun, data, noise=noise, fit=how, near=Near(near), trusted=True)
 
 
 def _step(result: FitResult, centre: Array) -> Array:

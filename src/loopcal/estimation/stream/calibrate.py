@@ -265,7 +265,6 @@ def learn(
     part = joined(parts)
     if every > 1:
         fit = fit.changed(tolerance=fit.tolerance or NEARLY)
-        part = replace(part, noise=part.noise.begun_at({}))  # as near as those of nearly the same
     options: dict[str, Any] = {"noise": part.noise, "fit": fit, "progress": progress}
     return Learnt(calibrate(mechanism, part.data, **options), every, tuple(sizes))
 
