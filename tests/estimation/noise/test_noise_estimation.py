@@ -18,7 +18,7 @@ import loopcal as lc
 from analyses.variance_components import SMALL, SmallNoise
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.noise import estimation
-from loopcal.estimation.noise.estimation import _shares, estimate_noise
+from loopcal.estimation.noise.estimation import _mixed, estimate_noise
 from loopcal.estimation.noise.learning import components
 from loopcal.estimation.noise.linear_model import LinearModel, ModelBlock, linear_model, whitened
 from loopcal.estimation.noise.linear_model import fit as mixed_fit
@@ -219,14 +219,28 @@ def test_a_sum_is_named_although_one_of_its_parts_ends_at_zero() -> None:
         assert entry.upper > 1.0
 
 
-def test_a_variance_that_swings_about_its_end_goes_to_the_zero_of_the_secant() -> None:
-    # x -> -1.5 x from x = 1: the step is -2.5 x, and its zero lies 0.4 of a step away
-    before, share = np.array([-2.5, -2.5, 1.0]), np.ones(3)
-    step = np.array([3.75, -0.5, 0.0])
-    assert _shares(share, before, step) == pytest.approx([0.4, 1.0, 1.0])
-    # 0.4 of the step leads to the end: the next ones are as long as they wish
-    assert _shares(np.full(1, 0.4), np.array([3.75]), np.zeros(1)) == pytest.approx([1.0])
-    assert _shares(np.ones(1), np.array([-1.0]), np.array([9.0])) == pytest.approx([0.25])
+def turned(G: np.ndarray[Any, Any], x: np.ndarray[Any, Any], most: int) -> list[float]:
+    """How far the turns x -> G x are from their end after each, mixed."""
+    turns, away = list[tuple[Any, Any]](), []
+    for _ in range(most):
+        turns.append((x, G @ x - x))
+        x = x + _mixed(turns)
+        away.append(float(np.linalg.norm(x)))
+    return away
+
+
+def test_variances_that_swing_or_spiral_about_their_end_go_to_it() -> None:
+    assert turned(-1.5 * np.eye(1), np.ones(1), 2)[-1] < 1e-12  # a secant; alone it runs away
+    c, s = np.cos(0.8), np.sin(0.8)  # a spiral, which takes seven turns to a tenth
+    spiral = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 0.1]]) * 0.7
+    away = turned(spiral, np.ones(3), 6)
+    assert away[-1] < 1e-2 * np.linalg.norm(np.linalg.matrix_power(spiral, 6) @ np.ones(3))
+
+
+def test_a_mixed_step_that_leads_too_far_is_made_as_it_is() -> None:
+    slow = [(np.zeros(1), np.array([1.0])), (np.array([1.0]), np.array([0.9]))]
+    assert _mixed(slow) == pytest.approx([0.9])  # the secant's zero is nine steps away
+    assert len(slow) == 1
 
 
 def two_alike(shared: float, stated: float = 1.0) -> LinearModel:
