@@ -168,8 +168,6 @@ def test_each_of_two_robots_of_one_file_has_a_file_of_its_own(tmp_path):
     for mine, alone in zip(robots.values(), (left, right), strict=True):
         written_alone = UrdfSource.of(path).patched(alone).content
         assert UrdfSource.of(path).patched(mine).content == written_alone
-            UrdfSource.of(path).patched(mine).content == UrdfSource.of(path).patched(alone).content
-        )
     assert by_prefix(left, joints) == {"": tuple(left)}
     assert by_prefix(both, ["other"]) == {"": tuple(both)}
 

@@ -11,7 +11,7 @@ machine; with the mean information L of a pose it knows after k poses
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -120,27 +120,6 @@ class Fleet:
         begun = mechanism.with_nominal(means)
         sds = {p.name: p.prior_sd for p in self.parameters}
         return begun.with_parameters(begun.parameters.with_prior(sds))
-
-    @classmethod
-    def from_document(cls, document: Mapping[str, Any]) -> Fleet:
-        """From `document`."""
-        machines = tuple(
-            FleetMachine(
-                one["name"],
-                one["poses"],
-                tuple(Deviation(**d) for d in one["deviations"]),
-                one["p_value"],
-                tuple(one["outstanding"]),
-            )
-            for one in document["machines"]
-        )
-        return cls(
-            document["machine"],
-            tuple(FleetParameter(**p) for p in document["parameters"]),
-            machines,
-            tuple(LeftOut(**one) for one in document["left_out"]),
-            document["fewest"],
-        )
 
     def document(self) -> dict[str, Any]:
         """As one JSON document: SI."""

@@ -13,6 +13,7 @@ import numpy as np
 from loopcal.companions.life.fleet import Fleet
 from loopcal.companions.life.history import CHANGE_HEAD, ENTRY_HEAD, History, Trend
 from loopcal.document.accuracy import Distances
+from loopcal.document.plain import rebuilt
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import machine_table, shown_parameters
 from loopcal.estimation.result import UPDATED
@@ -264,7 +265,7 @@ def _history(document: Mapping[str, Any]) -> Parts:
 
 
 def _fleet(document: Mapping[str, Any]) -> Parts:
-    fleet = Fleet.from_document(document)
+    fleet = rebuilt(Fleet, document)
     return [fleet_words(fleet)], [*fleet_tables(fleet), fleet_figure(fleet)]
 
 
