@@ -27,6 +27,7 @@ from loopcal.presentation.shown import by_sd, chance, columns, size, unit_shown,
 
 FEWEST = 3
 """Machines from which a spread is learnt."""
+MACHINE_HEAD = ("machine", "poses", "p", "result")
 # Fixed values that went through a file agree to nine digits.
 _SAME = 1e-9
 
@@ -131,7 +132,7 @@ class Fleet:
         lines = [f"{len(self.machines)} machines: {self.machine}", "", *columns(self._spreads())]
         lines += [
             "",
-            *columns(self._machines()),
+            *columns([MACHINE_HEAD, *self.machine_rows()]),
             "",
             "deviations from the mean of the other machines:",
         ]
@@ -150,12 +151,17 @@ class Fleet:
             rows.append([p.name, mean, *sds, str(p.poses), unit_shown(p.unit)])
         return rows
 
-    def _machines(self) -> list[list[str]]:
-        rows = [["machine", "poses", "p", "result"]]
-        for one in self.machines:
-            words = f"unusual: {', '.join(one.outstanding)}" if one.unusual else "like the others"
-            rows.append([one.name, str(one.poses), chance(one.p_value), words])
-        return rows
+    def machine_rows(self) -> list[tuple[str, ...]]:
+        """Of each machine the cells under `MACHINE_HEAD`."""
+        return [
+            (
+                one.name,
+                str(one.poses),
+                chance(one.p_value),
+                f"unusual: {', '.join(one.outstanding)}" if one.unusual else "like the others",
+            )
+            for one in self.machines
+        ]
 
     def _deviations(self) -> list[list[str]]:
         rows = [["parameter", *(one.name for one in self.machines), "unit"]]

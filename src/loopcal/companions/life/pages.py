@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from loopcal.companions.life.fleet import Fleet
+from loopcal.companions.life.fleet import MACHINE_HEAD, Fleet
 from loopcal.companions.life.history import CHANGE_HEAD, ENTRY_HEAD, History, Trend
 from loopcal.document.accuracy import Distances
 from loopcal.document.plain import rebuilt
@@ -82,19 +82,7 @@ def fleet_tables(fleet: Fleet) -> list[Table]:
             for p in fleet.parameters
         ),
     )
-    machines = Table(
-        "Machines",
-        ("machine", "poses", "p", "result"),
-        tuple(
-            (
-                one.name,
-                str(one.poses),
-                chance(one.p_value),
-                f"unusual: {', '.join(one.outstanding)}" if one.unusual else "like the others",
-            )
-            for one in fleet.machines
-        ),
-    )
+    machines = Table("Machines", MACHINE_HEAD, tuple(fleet.machine_rows()))
     return [machines, parameters]
 
 
