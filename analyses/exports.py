@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from loopcal.companions.robot.exports.format import ExportOptions
 from loopcal.companions.robot.exports.simulators import mjcf, sdf
-from loopcal.companions.robot.exports.urdf import patched_urdf
+from loopcal.companions.robot.exports.urdf import UrdfSource
 from loopcal.document.exported import Exported
 from loopcal.errors import InputError
 from loopcal.files.machines.urdf import Branch, branches, read_urdf
@@ -101,13 +101,13 @@ def one_robot(path: Path, chains: Sequence[Branch], poses: int, *, apart: bool) 
     import pinocchio as pin
 
     branch, made, chain, exported = machine(path, chains, apart=apart)
-    patched = patched_urdf(path, exported.origins).content
+    patched = UrdfSource.of(path).patched(exported.origins).content
     origins = re.compile(rb"<origin[^>]*?/?>")
     assert origins.sub(b"", patched) == origins.sub(b"", path.read_bytes()), path
     with tempfile.TemporaryDirectory() as folder:
         new = Path(folder) / path.name
         new.write_bytes(patched)
-        assert patched_urdf(new, exported.origins).content == patched, path
+        assert UrdfSource.of(new).patched(exported.origins).content == patched, path
         model = pin.buildModelFromUrdf(str(new), mimic=True)
     data = model.createData()
     bottom, top = (model.getFrameId(link) for link in (branch.base, branch.tip))
@@ -192,7 +192,7 @@ def checked(path: Path, chains: Sequence[Branch]) -> str:
     says = []
     with tempfile.TemporaryDirectory() as folder:
         new = Path(folder) / path.name
-        new.write_bytes(patched_urdf(path, exported.origins).content)
+        new.write_bytes(UrdfSource.of(path).patched(exported.origins).content)
         for file in (path, new):
             says.append(subprocess.run([program, file], capture_output=True).returncode == 0)
     return (

@@ -18,6 +18,7 @@ from loopcal.companions.life.history_files import run_history
 from loopcal.companions.life.pages import other_days
 from loopcal.companions.life.report_sections import sections
 from loopcal.companions.life.update_files import run_update
+from loopcal.document.plain import rebuilt
 from loopcal.figures.figure import Figure
 from loopcal.files.result.deployed import FLEET, HISTORY, VERIFICATION, read_deployed
 from loopcal.report.page import report_html
@@ -78,7 +79,7 @@ def test_notes_hold_what_the_commands_found(folder: Path) -> None:
         one.name for one in lc.history(folder / "arm.history").trends
     ]
     assert len(history.trends[0].values) == 1
-    fleet = Fleet.from_document(notes[FLEET])
+    fleet = rebuilt(Fleet, notes[FLEET])
     names = [folder / name for name in ("one", "two", "three")]
     assert fleet.parameters == lc.fleet(names).parameters
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 import typer
@@ -176,6 +178,36 @@ def numbers_of(text: str | None, option: str) -> list[float]:
             f"{option} is {text!r}, which is not a list of numbers with commas between them",
             remedy=f"give {option}=1,2.5,-3",
         ) from None
+
+
+# Possessive: no text makes the match back out (docs/decisions/0137).
+_AMOUNT = re.compile(r"([^=]++)=\s*+([-+.\deE]++)\s*+(\S.*)?")
+
+
+def amounts_of(
+    stated: Sequence[str] | None, option: str, example: str, *, sds: bool = False
+) -> dict[str, float]:
+    """Name -> SI value of each NAME=VALUE UNIT; sds: whether these are sds, which need their unit.
+
+    Raises UsageError for a text that is none.
+    """
+    from loopcal.units import difference_to_si, to_si
+
+    amounts = {}
+    for one in stated or ():
+        match = _AMOUNT.fullmatch(one.strip())
+        try:
+            if match is None or (sds and not match[3]):
+                raise ValueError
+            value, unit = float(match[2]), match[3] or "1"
+        except ValueError:
+            raise UsageError(
+                f"{option} is {one!r}, which is not NAME=VALUE with a unit",
+                code="invalid-value",
+                remedy=f"give a number and its unit: {option} {example}",
+            ) from None
+        amounts[match[1].strip()] = float((difference_to_si if sds else to_si)(value, unit))
+    return amounts
 
 
 def days_of(text: str | None) -> Days | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from annotated_types import Ge, Le
@@ -28,6 +28,17 @@ def plain(value: Any) -> Any:
             return list(value)  # rows of matrices, most of a document
         return [plain(inner) for inner in value]
     return value
+
+
+Kind = TypeVar("Kind")
+
+
+def rebuilt(kind: type[Kind], data: Any) -> Kind:
+    """A dataclass from its plain data, keys beside its fields left out. Raises ValueError for data
+    that do not fit."""
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(kind).validate_python(data)
 
 
 def finite_only(value: Any) -> Any:

@@ -101,10 +101,10 @@ def write_all(
         _undo(works.values())
         if current in exclusive:
             raise
-        raise _unwritable(current, error) from None
+        raise unwritable(current, error) from None
     except OSError as error:
         _undo(works.values())
-        raise _unwritable(current, error) from None
+        raise unwritable(current, error) from None
     except BaseException:
         _undo(works.values())
         raise
@@ -321,7 +321,7 @@ def _bytes(data: Data) -> bytes:
     return data.encode("utf-8") if isinstance(data, str) else data
 
 
-def _unwritable(path: Path, error: OSError) -> InputError:
+def unwritable(path: Path, error: OSError) -> InputError:
     """Why a file cannot be written, and what to do, in the user's words."""
     if error.errno in _NO_SPACE:
         why, remedy = "the disk is full", "free some space, or choose another folder"

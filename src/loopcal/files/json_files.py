@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from loopcal.document.plain import plain
-from loopcal.errors import InputError
+from loopcal.errors import Code, InputError
 from loopcal.files.tables.raw import bytes_of
 from loopcal.files.versions import version
 
@@ -25,40 +25,29 @@ def read_json(path: str | Path, kind: str, *schemas: int) -> dict[str, Any]:
     Raises InputError, with line and column, for what is no such file.
     """
     remedy = f"name a {kind} that loopcal wrote"
+
+    def wrong(words: str, place: str = str(path), code: Code = "invalid-syntax") -> InputError:
+        return InputError(words, code=code, place=place, remedy=remedy)
+
+    no_json = "this is not valid JSON: "
     content = json_bytes(path, remedy)
     try:
         document = json.loads(content, parse_constant=_refused, parse_int=whole_number)
     except json.JSONDecodeError as error:
-        raise InputError(
-            f"this is not valid JSON: {error.msg}",
-            code="invalid-syntax",
-            place=f"{path}, line {error.lineno}, column {error.colno}",
-            remedy=remedy,
-        ) from None
+        place = f"{path}, line {error.lineno}, column {error.colno}"
+        raise wrong(f"{no_json}{error.msg}", place) from None
     except (UnicodeDecodeError, RecursionError, ValueError) as error:
         why = str(error) if type(error) is ValueError else "it is no text of that form"
-        raise InputError(
-            f"this is not valid JSON: {why}", code="invalid-syntax", place=str(path), remedy=remedy
-        ) from None
+        raise wrong(f"{no_json}{why}") from None
     # Python's json accepts half of a surrogate pair, which UTF-8 cannot hold.
     if _ESCAPED_SURROGATE.search(content):
         try:
             json.dumps(document, ensure_ascii=False).encode("utf-8")
         except UnicodeEncodeError as error:
-            raise InputError(
-                "this is not valid JSON: it holds half a character "
-                f"(\\u{ord(error.object[error.start]):04x})",
-                code="invalid-syntax",
-                place=str(path),
-                remedy=remedy,
-            ) from None
+            half = f"\\u{ord(error.object[error.start]):04x}"
+            raise wrong(f"{no_json}it holds half a character ({half})") from None
     if not isinstance(document, dict) or "schema" not in document:
-        raise InputError(
-            f"this is no {kind}: it states no schema",
-            code="wrong-file-type",
-            place=str(path),
-            remedy=remedy,
-        )
+        raise wrong(f"this is no {kind}: it states no schema", code="wrong-file-type")
     # True == 1 in Python.
     if document["schema"] is True or document["schema"] not in schemas:
         readable = " or ".join(map(str, schemas))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from loopcal.files.cameras.boards import board_of, read_boards
+from loopcal.files.cameras.boards import read_boards
 from loopcal.files.cameras.folder import read_files
 from loopcal.mechanisms.cameras.board import Pattern
 from tests.refusals import refused
@@ -40,7 +41,8 @@ tagSpacing: 0.3
 
 def test_a_charuco_board_as_a_project_and_others_state_it(tmp_path: Path) -> None:
     stated = {"type": "charuco", "squares": [5, 7], "square": 36.195, "marker": 18.256}
-    board = board_of({**stated, "unit": "mm", "dictionary": "6X6_250", "legacy": True})
+    stated |= {"unit": "mm", "dictionary": "6X6_250", "legacy": True}
+    board = read_boards(written(tmp_path, json.dumps(stated)))["board"]
     text = "rows: 7\ncols: 5\nchessboard_dim: 0.036195\naruco_marker_dim: 0.018256\n"
     other = read_boards(written(tmp_path, text + "dictionary: 10\nlegacy_pattern: true\n"))["board"]
     assert np.allclose(board.xyz, other.xyz)

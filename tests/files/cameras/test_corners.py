@@ -43,7 +43,6 @@ def test_what_a_table_leaves_out_and_what_it_states_besides(tmp_path: Path) -> N
     assert (corners.point, corners.u[0], corners.v[0]) == (("7.2",), 10.0, 20.0)
     assert corners.sd is not None
     assert corners.sd[0] == 0.2
-    assert read_corners(tmp_path / "corners.csv", first_pixel=0.0).u[0] == 10.5
 
 
 def test_a_row_per_image(tmp_path: Path) -> None:

@@ -133,11 +133,6 @@ def test_numbers_by_name_and_several_cameras(tmp_path: Path) -> None:
     assert (one.lens, one.image, one.distortion[0]) == ("brown5", (9, 7), -0.1)
 
 
-def test_pixels_counted_from_a_corner_are_moved_by_a_half(tmp_path: Path) -> None:
-    one = read_intrinsics(written(tmp_path, CAMERA_INFO), first_pixel=0.5)["eye"]
-    assert (one.cx, one.cy) == (789.2, 626.8)
-
-
 @pytest.mark.parametrize(
     ("old", "new", "code", "stated"),
     [

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from loopcal.companions.robot.exports.urdf import by_prefix, decimal, patched_urdf
+from loopcal.companions.robot.exports.urdf import UrdfSource, by_prefix, decimal
 from loopcal.files.machines.urdf import read_urdf
 from loopcal.mechanisms.chain import product
 from loopcal.mechanisms.origins import calibrated_origins, joint_chain
@@ -74,15 +74,15 @@ ENCODED = {
 def test_the_patched_file_is_the_calibrated_robot_and_a_fixed_point(name, tmp_path):
     path = written(tmp_path, ENCODED[name])
     machine, values, origins = calibrated(path)
-    done = patched_urdf(path, origins)
+    done = UrdfSource.of(path).patched(origins)
     after = written(tmp_path, done.content, "new.urdf")
     new = joint_chain(read_urdf(after, "a", "f"))
     nominal = {n: p.nominal for n, p in new.parameters.items()}
     q = {"ab": 0.3, "cd": 0.2, "bc": -0.7}
     expected = product(machine.chain, q, values)
     np.testing.assert_allclose(product(new.chain, q, nominal), expected, atol=1e-15 * 8)
-    assert patched_urdf(after, origins).content == done.content
-    assert patched_urdf(after, origins).changed == ()
+    assert UrdfSource.of(after).patched(origins).content == done.content
+    assert UrdfSource.of(after).patched(origins).changed == ()
     assert done.changed == ("ab", "bc", "cd", "de", "ef")
     assert any("<calibration>" in warning for warning in done.warnings)
 
@@ -90,7 +90,7 @@ def test_the_patched_file_is_the_calibrated_robot_and_a_fixed_point(name, tmp_pa
 @pytest.mark.parametrize("name", ["LF", "CRLF", "BOM"])
 def test_all_bytes_but_the_values_of_changed_origins_stay(name, tmp_path):
     path = written(tmp_path, ENCODED[name])
-    done = patched_urdf(path, calibrated(path)[2])
+    done = UrdfSource.of(path).patched(calibrated(path)[2])
     number = rb"[-+.\deE]+"
     three = rb"[ \t]+".join([number] * 3)
     xyz, rpy = rb'xyz="' + three + rb'"', rb'rpy="' + three + rb'"'
@@ -113,7 +113,7 @@ def test_all_bytes_but_the_values_of_changed_origins_stay(name, tmp_path):
 
 def test_numbers_that_did_not_change_keep_their_digits(tmp_path):
     path = written(tmp_path, ENCODED["LF"])
-    done = patched_urdf(path, calibrated(path, only={"ab_y"})[2])
+    done = UrdfSource.of(path).patched(calibrated(path, only={"ab_y"})[2])
     assert done.changed == ("ab",)
     head, tail = ENCODED["LF"].split(b"1.50 2 3")
     found = re.fullmatch(re.escape(head) + rb"1\.50 (\S+) 3" + re.escape(tail), done.content)
@@ -123,14 +123,14 @@ def test_numbers_that_did_not_change_keep_their_digits(tmp_path):
 
 def test_nothing_changes_where_nothing_was_calibrated(tmp_path):
     path = written(tmp_path, ENCODED["CRLF"])
-    assert patched_urdf(path, calibrated(path, only=())[2]).content == ENCODED["CRLF"]
+    assert UrdfSource.of(path).patched(calibrated(path, only=())[2]).content == ENCODED["CRLF"]
 
 
 def test_offsets_apart_leave_what_only_a_zero_changes(tmp_path):
     path = written(tmp_path, ENCODED["LF"])
     origins = calibrated(path, only={"bc_ry"}, apart=True)[2]
     assert [o.joint.name for o in origins if o.offset] == ["bc"]
-    assert patched_urdf(path, origins).content == ENCODED["LF"]
+    assert UrdfSource.of(path).patched(origins).content == ENCODED["LF"]
 
 
 @pytest.mark.parametrize(
@@ -148,7 +148,7 @@ def test_another_robot_is_refused(old, new, tmp_path):
     origins = calibrated(path)[2]
     other = written(tmp_path, ENCODED["LF"].replace(old.encode(), new.encode()), "other.urdf")
     with refused("unknown-name" if '"xy"' in new else "conflicting-keys"):
-        patched_urdf(other, origins)
+        UrdfSource.of(other).patched(origins)
 
 
 def prefixed(one, prefix):
@@ -166,7 +166,8 @@ def test_each_of_two_robots_of_one_file_has_a_file_of_its_own(tmp_path):
     robots = by_prefix([*both, mount], joints)
     assert list(robots) == ["l_", "r_"]
     for mine, alone in zip(robots.values(), (left, right), strict=True):
-        assert patched_urdf(path, mine).content == patched_urdf(path, alone).content
+        written_alone = UrdfSource.of(path).patched(alone).content
+        assert UrdfSource.of(path).patched(mine).content == written_alone
     assert by_prefix(left, joints) == {"": tuple(left)}
     assert by_prefix(both, ["other"]) == {"": tuple(both)}
 
@@ -185,7 +186,7 @@ def test_pinocchio_moves_the_patched_robot_as_we_do(name, apart, tmp_path):
     pin = pytest.importorskip("pinocchio", reason="pin is not installed (make partners)")
     robot, base, tip = CHAINS[name]
     machine, values, origins = calibrated(urdf_of(robot), base, tip, apart=apart)
-    path = written(tmp_path, patched_urdf(urdf_of(robot), origins).content)
+    path = written(tmp_path, UrdfSource.of(urdf_of(robot)).patched(origins).content)
     offsets = {one.joint.name: one.offset for one in origins}
     model = pin.buildModelFromUrdf(str(path), mimic=True)
     data = model.createData()

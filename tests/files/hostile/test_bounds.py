@@ -118,14 +118,14 @@ def links_looked_up(count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     )
     (tmp_path / "r.urdf").write_text(f"<robot>{links}{joints}</robot>", "utf-8")
     seen: list[str] = []
-    own = urdf.UrdfRobot._link
+    own = urdf.UrdfRobot.link
 
     def counted(robot: Any, element: Any, tag: str) -> str:
         seen.append(tag)
         return own(robot, element, tag)
 
     with monkeypatch.context() as patch:
-        patch.setattr(urdf.UrdfRobot, "_link", counted)
+        patch.setattr(urdf.UrdfRobot, "link", counted)
         branches(tmp_path / "r.urdf")
     return len(seen)
 

@@ -126,9 +126,14 @@ WRONG_REQUESTS = {
     "an unknown unit": ({"q": {"column": "S", "unit": "degre"}}, {}, ["'degre'", "'deg"]),
     "an unknown sd unit": ({"q": {"column": "S", "sd_unit": "mn"}}, {}, ["'mn'"]),
     "an unknown key": ({"q": {"column": "S", "units": "m"}}, {}, ["'units'", "'unit'"]),
-    "no column": ({"q": {"unit": "m"}}, {}, ["not named"]),
-    "a truth value": ({"q": True}, {}, ["column is True"]),
-    "a broken number": ({"q": 1.5}, {}, ["column is 1.5"]),
+    "no column": ({"q": {"unit": "m"}}, {}, ["'column' is missing"]),
+    "a truth value": ({"q": True}, {}, ["column: True"]),
+    "a broken number": ({"q": 1.5}, {}, ["column: 1.5"]),
+    "a word for a truth value": (
+        {"q": {"column": "S", "check": "no"}},
+        {},
+        ["check: 'no'", "false"],
+    ),
     "two units": ({"q": {"column": "S", "unit": "deg"}}, {"q": "rad"}, ["two units", "deg", "rad"]),
     "a unit too many": ({"q": "S"}, {"p": "rad"}, ["'p'", "'q'"]),
     "sd of another kind": (

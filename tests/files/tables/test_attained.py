@@ -9,7 +9,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from loopcal.files.tables.attained import read_attained, rotations, template
+from loopcal.files.recognition.meanings import rotations
+from loopcal.files.tables.attained import read_attained, template
 from tests.refusals import refused
 
 HEAD = "pose,cycle,x_cmd [mm],y_cmd [mm],z_cmd [mm],x [mm],y [mm],z [mm]"
@@ -148,7 +149,7 @@ def test_orientations_in_their_conventions(tmp_path: Path) -> None:
 
 def test_rpy_and_zyx_are_the_same_turns_in_the_opposite_order() -> None:
     angles = np.array([[0.1, -0.4, 1.0]])
-    assert rotations(angles, "rpy") == pytest.approx(rotations(angles[:, ::-1], "zyx"))
+    assert rotations(angles, "xyz") == pytest.approx(rotations(angles[:, ::-1], "ZYX"))
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from stat import S_ISREG
 from typing import Any, BinaryIO
 
 from loopcal.errors import InputError, LoopcalError
-from loopcal.files.atomic import write_atomic
+from loopcal.files.atomic import unwritable, write_atomic
 from loopcal.files.machines.meshes import READERS as MESHES
 from loopcal.files.outputs import leads_into
 from loopcal.files.result.deployed import FOLDER as NOTES
@@ -331,12 +331,7 @@ class ProjectFolder:
                 file.flush()
                 os.fsync(file.fileno())
         except OSError as error:
-            raise InputError(
-                f"cannot be written: {error.strerror or error}",
-                code="unwritable-file",
-                place=str(path),
-                remedy="free some space, or choose a folder with write permission",
-            ) from None
+            raise unwritable(path, error) from None
 
     def log(self) -> Log:
         """What was done in the folder."""
@@ -399,12 +394,7 @@ class FolderLock:
             # Not truncated: a file that another app has locked states its address.
             self._file: BinaryIO = path.open("r+b" if path.exists() else "w+b")
         except OSError as error:
-            raise InputError(
-                f"cannot be written: {error.strerror or error}",
-                code="unwritable-file",
-                place=str(folder),
-                remedy="choose a folder with write permission",
-            ) from None
+            raise unwritable(folder, error) from None
         if not _taken(self._file):
             held = self._file.read(200).decode("utf-8", "replace").strip()
             self._file.close()

@@ -176,7 +176,7 @@ class Earlier:
     def linear(
         self, calibrated: Calibrated, parameters: Array, components: Sequence[Sequence[int]]
     ) -> tuple[ModelBlock, ...]:
-        """The poses, with loadings at the sds of `known`, linearised where their loops close at
+        """The poses, with loadings at the calibration's sds, linearised where their loops close at
         parameters (n_all,)."""
         problem = self._poses(calibrated)
         assert problem is not None

@@ -11,7 +11,7 @@ machine; with the mean information L of a pose it knows after k poses
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -27,6 +27,7 @@ from loopcal.presentation.shown import by_sd, chance, columns, size, unit_shown,
 
 FEWEST = 3
 """Machines from which a spread is learnt."""
+MACHINE_HEAD = ("machine", "poses", "p", "result")
 # Fixed values that went through a file agree to nine digits.
 _SAME = 1e-9
 
@@ -121,27 +122,6 @@ class Fleet:
         sds = {p.name: p.prior_sd for p in self.parameters}
         return begun.with_parameters(begun.parameters.with_prior(sds))
 
-    @classmethod
-    def from_document(cls, document: Mapping[str, Any]) -> Fleet:
-        """From `document`."""
-        machines = tuple(
-            FleetMachine(
-                one["name"],
-                one["poses"],
-                tuple(Deviation(**d) for d in one["deviations"]),
-                one["p_value"],
-                tuple(one["outstanding"]),
-            )
-            for one in document["machines"]
-        )
-        return cls(
-            document["machine"],
-            tuple(FleetParameter(**p) for p in document["parameters"]),
-            machines,
-            tuple(LeftOut(**one) for one in document["left_out"]),
-            document["fewest"],
-        )
-
     def document(self) -> dict[str, Any]:
         """As one JSON document: SI."""
         machines = [{**asdict(one), "unusual": one.unusual} for one in self.machines]
@@ -152,7 +132,7 @@ class Fleet:
         lines = [f"{len(self.machines)} machines: {self.machine}", "", *columns(self._spreads())]
         lines += [
             "",
-            *columns(self._machines()),
+            *columns([MACHINE_HEAD, *self.machine_rows()]),
             "",
             "deviations from the mean of the other machines:",
         ]
@@ -171,12 +151,17 @@ class Fleet:
             rows.append([p.name, mean, *sds, str(p.poses), unit_shown(p.unit)])
         return rows
 
-    def _machines(self) -> list[list[str]]:
-        rows = [["machine", "poses", "p", "result"]]
-        for one in self.machines:
-            words = f"unusual: {', '.join(one.outstanding)}" if one.unusual else "like the others"
-            rows.append([one.name, str(one.poses), chance(one.p_value), words])
-        return rows
+    def machine_rows(self) -> list[tuple[str, ...]]:
+        """Of each machine the cells under `MACHINE_HEAD`."""
+        return [
+            (
+                one.name,
+                str(one.poses),
+                chance(one.p_value),
+                f"unusual: {', '.join(one.outstanding)}" if one.unusual else "like the others",
+            )
+            for one in self.machines
+        ]
 
     def _deviations(self) -> list[list[str]]:
         rows = [["parameter", *(one.name for one in self.machines), "unit"]]

@@ -11,7 +11,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,8 +27,9 @@ from loopcal.companions.life.courses import (
     events_before,
     walk_variance,
 )
-from loopcal.companions.life.history_folder import Entries, Entry, Skipped
+from loopcal.companions.life.history_folder import Entries, Entry
 from loopcal.companions.life.joint_entry import Joint, causes
+from loopcal.document.plain import rebuilt
 from loopcal.estimation.result import UPDATED
 from loopcal.lazy import cached_property
 from loopcal.presentation.shown import by_sd, columns, p_words, size, unit_shown, with_unit, wrapped
@@ -249,12 +249,7 @@ class History:
     @classmethod
     def from_document(cls, document: Mapping[str, Any]) -> History:
         """From `document`."""
-        whole = (
-            Entry(**{**one, "time": datetime.fromisoformat(one["time"])})
-            for one in document["entries"]
-        )
-        skipped = (Skipped(**one) for one in document["skipped"])
-        return cls(Entries(Path(document["folder"]), tuple(whole), tuple(skipped)))
+        return cls(rebuilt(Entries, {**document, "whole": document["entries"]}))
 
     def document(self) -> dict[str, Any]:
         """As one JSON document: SI."""

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from loopcal.companions.life.fleet import Fleet
+from loopcal.companions.life.fleet import MACHINE_HEAD, Fleet
 from loopcal.companions.life.history import CHANGE_HEAD, ENTRY_HEAD, History, Trend
 from loopcal.document.accuracy import Distances
+from loopcal.document.plain import rebuilt
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import machine_table, shown_parameters
 from loopcal.estimation.result import UPDATED
@@ -81,19 +82,7 @@ def fleet_tables(fleet: Fleet) -> list[Table]:
             for p in fleet.parameters
         ),
     )
-    machines = Table(
-        "Machines",
-        ("machine", "poses", "p", "result"),
-        tuple(
-            (
-                one.name,
-                str(one.poses),
-                chance(one.p_value),
-                f"unusual: {', '.join(one.outstanding)}" if one.unusual else "like the others",
-            )
-            for one in fleet.machines
-        ),
-    )
+    machines = Table("Machines", MACHINE_HEAD, tuple(fleet.machine_rows()))
     return [machines, parameters]
 
 
@@ -264,7 +253,7 @@ def _history(document: Mapping[str, Any]) -> Parts:
 
 
 def _fleet(document: Mapping[str, Any]) -> Parts:
-    fleet = Fleet.from_document(document)
+    fleet = rebuilt(Fleet, document)
     return [fleet_words(fleet)], [*fleet_tables(fleet), fleet_figure(fleet)]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,14 +20,10 @@ from loopcal.files.result.result_file import NAMES
 from loopcal.files.result.result_poses import poses_of_result
 from loopcal.statistics.replacing import freed, mounted
 from loopcal.statistics.verdict import refuses
-from loopcal.units import difference_to_si
 from loopcal.workflow.public import on_result
 from loopcal.workflow.readings import Files, first_of, new_readings
 from loopcal.workflow.result import Result, save_result
 from loopcal.workflow.saved_result import read_result
-
-# Possessive: no text makes the match back out (docs/decisions/0137).
-_DRIFT = re.compile(r"\s*([^=\s]+)\s*=\s*([-+.\deE]++)\s*+([A-Za-zµ/]+)\s*")
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,14 +55,14 @@ def run_update(
     *,
     out: str | Path | None = None,
     mounting: Mounted = Mounted(),
-    drift: Sequence[str] = (),
+    drift: Mapping[str, float] = {},
     history: HistoryKeeper | None = None,
     report: bool = False,
     function: str | None = None,
 ) -> UpdateDone:
     """Update the result of a folder by readings in the columns of its project, and write it.
 
-    out: the folder to write to, by default RESULT-updated; drift: "ROLE=VALUE UNIT" each, else the
+    out: the folder to write to, by default RESULT-updated; drift: as in `update`, by default the
     rates of the history, where it knows them; history: to which the result is added; the rest as
     in `update`.
     Raises InputError for what cannot be used.
@@ -78,7 +73,7 @@ def run_update(
     read = read_result(result, mechanism=function)
     folder = read.path.parent
     held = {p.name for p in read.mechanism.parameters if p.fixed}
-    allowed = drifts(drift) | {name: sd for name, sd in usual.items() if name not in held}
+    allowed = {**drift} | {name: sd for name, sd in usual.items() if name not in held}
     target = Path(f"{folder}-updated") if out is None else Path(out)
     # Another spelling of a path is the same folder.
     if target.resolve() == folder.resolve():
@@ -108,29 +103,6 @@ def run_update(
     assert verdict is not None
     bad = verdict.sound.words if refuses("sound", verdict.sound) else None
     return UpdateDone(updated_result, written, allowed, done.mixed or bad)
-
-
-def drifts(texts: Sequence[str]) -> dict[str, float]:
-    """Sds [SI] by kind or name, of texts such as "length=0.01mm".
-
-    Raises UsageError for a text that is none.
-    """
-    sds = {}
-    for text in texts:
-        match = _DRIFT.fullmatch(text)
-        if match is None:
-            raise UsageError(
-                f"the drift {text!r} is no KIND=VALUE with a unit",
-                code="invalid-value",
-                remedy="write it as length=0.01mm or angle=20urad",
-            )
-        try:
-            sds[match[1]] = float(difference_to_si(float(match[2]), match[3]))
-        except ValueError:
-            raise UsageError(
-                f"the drift {text!r} has no number", code="invalid-value", remedy="give a number"
-            ) from None
-    return sds
 
 
 def _usual(folder: str | Path) -> dict[str, float]:

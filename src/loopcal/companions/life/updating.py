@@ -390,9 +390,9 @@ def learnt(
 ) -> Sds | None:
     """The learnt sds of a calibration, learnt from its poses and those of an update.
 
-    known: at the sds of the update; found: the update; anew: (n_all,) what was placed anew; drift:
-    (n_all, k) steps of one sd. None where no sd was learnt, the earlier poses are not there, or the
-    loops have no noise.
+    earlier: at the sds of the update; result: the update; anew: (n_all,) what was placed anew;
+    drift: (n_all, k) steps of one sd. None where no sd was learnt, the earlier poses are not
+    there, or the loops have no noise.
     """
     which = [i for i, entry in enumerate(calibrated.noise) if _begun(entry) is not None]
     if not which or earlier.problem is None:

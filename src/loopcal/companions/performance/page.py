@@ -44,31 +44,6 @@ SHADES = (BEFORE, AFTER, COLOURS[4])
 """Of AP, AP after fitting the base, and RP."""
 
 
-def pose_bars(poses: Sequence[str], series: Sequence[Bars]) -> Figure:
-    """AP before and after fitting the base, and RP, of every pose [mm]."""
-    return Figure(
-        "bars",
-        "Accuracy and repeatability of every pose",
-        "Lines show the 95 % interval. AP after fitting holds what no shift or turn of the base "
-        "frame explains.",
-        f"Bars of {', '.join(bars.name for bars in series)} for {len(poses)} poses.",
-        tuple(bars.trace(poses) for bars in series),
-        bar_layout(320, "mm"),
-    )
-
-
-def condition_bars(conditions: Sequence[str], series: Sequence[Bars]) -> Figure:
-    """The largest AP before and after fitting the base, and RP, at every payload and speed [mm]."""
-    return Figure(
-        "conditions",
-        "Accuracy and repeatability by condition",
-        "The largest of all poses. Lines show the 95 % interval of that pose.",
-        f"Bars of {', '.join(bars.name for bars in series)} at {len(conditions)} conditions.",
-        tuple(bars.trace(conditions) for bars in series),
-        bar_layout(320, "mm"),
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class Cloud:
     """Attained minus commanded positions (n, 3) [mm] of one pose; radius: its RP [mm]."""
@@ -141,42 +116,6 @@ def scatter(clouds: Sequence[Cloud], plane: tuple[int, int] = (0, 1)) -> Figure:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Course:
-    """AP and RP [mm] of one pose over time, from block to block."""
-
-    name: str
-    times: Sequence[float]
-    accuracy: Sequence[float]
-    repeatability: Sequence[float]
-
-
-def drift_courses(courses: Sequence[Course], unit: str) -> Figure | None:
-    """AP (full lines) and RP (dotted) of every pose against time; None without any."""
-    if not courses:
-        return None
-    shades = colours([course.name for course in courses])
-    data = []
-    for course in courses:
-        for what, values, dash in (
-            ("AP", course.accuracy, "solid"),
-            ("RP", course.repeatability, "dot"),
-        ):
-            line = {"color": shades[course.name], "dash": dash, "width": 1.5}
-            x, y = np.array(course.times), np.array(values)
-            name = f"{what} {course.name}"
-            data.append(trace("lines+markers", name, x, y, line=line, marker={"size": 5}))
-    return Figure(
-        "drift",
-        "Drift of accuracy and repeatability",
-        "AP of every block of cycles in full lines, RP in dotted ones. A level line is a robot "
-        "that does not drift.",
-        f"AP and RP of {len(courses)} poses against {unit}.",
-        tuple(data),
-        layout(340, xaxis=axis(unit), yaxis=axis("mm", rangemode="tozero")),
-    )
-
-
 MM = 1e3
 MOST_PANELS = 30
 """Poses with a panel of their own; more are in the tables alone."""
@@ -202,7 +141,7 @@ def _condition(performance: ConditionPerformance, attained: AttainedPoses, numbe
     first, *tables = (_table(title, rows) for title, rows in tables_of(performance).items())
     figures = [*_scatter(performance, attained), _drift(performance)]
     words = [headline(performance), *performance.notes]
-    parts = [_bars(performance), first, *figures, *tables]
+    parts = [_bars_by_pose(performance), first, *figures, *tables]
     return Section(f"c{number}", performance.name, words, parts)
 
 
@@ -215,18 +154,41 @@ def _overview(conditions: Sequence[ConditionPerformance]) -> Section:
     rows = overview(conditions)
     if not rows:
         return Section("all", "", (), ())
-    figures = zip(*(part.largest.figures for part in conditions), strict=True)
-    drawn = condition_bars([part.name for part in conditions], _series(figures))
+    drawn = _bars(
+        "conditions",
+        "Accuracy and repeatability by condition",
+        "The largest of all poses. Lines show the 95 % interval of that pose.",
+        "at {} conditions",
+        [(part.name, *part.largest.figures) for part in conditions],
+    )
     return Section("all", "", (), (drawn, _table("Largest figures by condition", rows)))
 
 
-def _bars(performance: ConditionPerformance) -> Figure:
-    figures = (
-        [pose.accuracy for pose in performance.poses],
-        [pose.accuracy_fitted for pose in performance.poses],
-        [pose.repeatability for pose in performance.poses],
+def _bars_by_pose(performance: ConditionPerformance) -> Figure:
+    return _bars(
+        "bars",
+        "Accuracy and repeatability of every pose",
+        "Lines show the 95 % interval. AP after fitting holds what no shift or turn of the base "
+        "frame explains.",
+        "for {} poses",
+        [
+            (pose.name, pose.accuracy, pose.accuracy_fitted, pose.repeatability)
+            for pose in performance.poses
+        ],
     )
-    return pose_bars([pose.name for pose in performance.poses], _series(figures))
+
+
+Bar = tuple[str, Estimate | None, Estimate | None, Estimate | None]
+"""A name with AP, AP after fitting the base, and RP."""
+
+
+def _bars(key: str, title: str, caption: str, of: str, rows: Sequence[Bar]) -> Figure:
+    """Bars of figures beside each other [mm]; of: what they are of, with room for a number."""
+    named, *figures = zip(*rows, strict=True)
+    series = _series(figures)
+    label = f"Bars of {', '.join(bars.name for bars in series)} {of.format(len(rows))}."
+    bars = tuple(bars.trace(named) for bars in series)
+    return Figure(key, title, caption, label, bars, bar_layout(320, "mm"))
 
 
 def _series(figures: Iterable[Sequence[Estimate | None]]) -> list[Bars]:
@@ -263,20 +225,34 @@ def _scatter(performance: ConditionPerformance, attained: AttainedPoses) -> list
 
 
 def _drift(performance: ConditionPerformance) -> Figure | None:
+    """AP (full lines) and RP (dotted) of every pose against time; None without any."""
     # All by time or all by number: one axis cannot hold both.
     timed = all(block.time is not None for drift in performance.drifts for block in drift.blocks)
     longest = max((b.time or 0.0 for d in performance.drifts for b in d.blocks), default=0.0)
     divisor, unit = (3600.0, "time [h]") if longest > 7200.0 else (60.0, "time [min]")
-    courses = [
-        Course(
-            drift.pose,
-            [
-                float(number) if not timed else (block.time or 0.0) / divisor
-                for number, block in enumerate(drift.blocks, 1)
-            ],
-            [MM * block.accuracy.value for block in drift.blocks],
-            [MM * block.repeatability.value for block in drift.blocks],
-        )
-        for drift in performance.drifts[:MOST_PANELS]
-    ]
-    return drift_courses(courses, unit if timed else "block of cycles")
+    drifts = performance.drifts[:MOST_PANELS]
+    if not drifts:
+        return None
+    shades = colours([drift.pose for drift in drifts])
+    data = []
+    for drift in drifts:
+        numbers = [float(number) for number in range(1, len(drift.blocks) + 1)]
+        times = [(block.time or 0.0) / divisor for block in drift.blocks] if timed else numbers
+        for what, estimates, dash in (
+            ("AP", [block.accuracy for block in drift.blocks], "solid"),
+            ("RP", [block.repeatability for block in drift.blocks], "dot"),
+        ):
+            line = {"color": shades[drift.pose], "dash": dash, "width": 1.5}
+            x, y = np.array(times), np.array([MM * one.value for one in estimates])
+            name = f"{what} {drift.pose}"
+            data.append(trace("lines+markers", name, x, y, line=line, marker={"size": 5}))
+    label = unit if timed else "block of cycles"
+    return Figure(
+        "drift",
+        "Drift of accuracy and repeatability",
+        "AP of every block of cycles in full lines, RP in dotted ones. A level line is a robot "
+        "that does not drift.",
+        f"AP and RP of {len(drifts)} poses against {label}.",
+        tuple(data),
+        layout(340, xaxis=axis(label), yaxis=axis("mm", rangemode="tozero")),
+    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Annotated
 
 import typer
@@ -14,6 +13,7 @@ from loopcal.cli.application import (
     LimbOption,
     PulsesOption,
     ResultArgument,
+    amounts_of,
     app,
     argument,
     choice,
@@ -105,7 +105,7 @@ def correct(
             least_gain,
             None if line is None else 1e-3 * line,
         ),
-        at=_constants(at or []),
+        at=amounts_of(at, "--at", "'temperature=24 degC'"),
         pulses=numbers_of(pulses_per_degree, "--pulses-per-degree"),
         limb=limb,
     )
@@ -125,24 +125,6 @@ def _numbers(text: str, option: str) -> list[float]:
             remedy=f"give {option}=X,Y,Z or {option}=X,Y,Z,RZ,RY,RX in mm and degrees",
         )
     return numbers
-
-
-def _constants(stated: Sequence[str]) -> dict[str, float]:
-    """NAME=VALUE or NAME=VALUE UNIT as SI."""
-    from loopcal.units import to_si
-
-    constants = {}
-    for one in stated:
-        name, _, value = one.partition("=")
-        number, _, unit = value.strip().partition(" ")
-        try:
-            constants[name.strip()] = float(to_si(float(number), unit.strip() or "1"))
-        except ValueError:
-            raise UsageError(
-                f"--at is {one!r}, which is not NAME=VALUE",
-                remedy="give a number, with its unit if it is not SI: --at 'temperature=24 degC'",
-            ) from None
-    return constants
 
 
 # `loopcal export`: a calibrated machine in the format of its controller or simulator.

@@ -58,7 +58,7 @@ def exported(
     """A calibrated machine for export.
 
     document, mechanism: of a result; poses: its readings, without which no accuracy at them is
-    known; known: what predictions need of it, without which no models are compared; offsets_apart:
+    known; predictor: what predicts, without which no models are compared; offsets_apart:
     whether the zero offsets of joint origins stand beside them.
     """
     values = {p.name: p.value for p in document.parameters}

@@ -54,9 +54,7 @@ class _Points:
     pose_constants: Array
 
 
-def run_draws(
-    scenario: Scenario, seed: int, draws: Sequence[int], methods: Sequence[int] | None = None
-) -> Columns:
+def run_draws(scenario: Scenario, seed: int, draws: Sequence[int]) -> Columns:
     """What the draws of these numbers found: columns with one row per draw and method.
 
     scenario, method, draw; converged (1 or 0), reason, iterations, chi_squared; error.NAME and
@@ -67,13 +65,11 @@ def run_draws(
     Raises InputError where a draw cannot be simulated.
     """
     rows: list[dict[str, str | float]] = []
-    chosen = range(len(scenario.methods)) if methods is None else methods
     with one_blas_thread():
         for draw in draws:
             made = _simulated(scenario, seed, draw)
             points = _points(scenario.mechanism, made)
-            for i in chosen:
-                method = scenario.methods[i]
+            for method in scenario.methods:
                 head: dict[str, str | float] = {
                     "scenario": scenario.name,
                     "method": method.name,

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from loopcal.arrays import Array
 from loopcal.companions.studies.draws import first_draw
 from loopcal.companions.studies.run import StudyDone
-from loopcal.companions.studies.tables import MethodTable, Paired, ScenarioTable, Spread
+from loopcal.companions.studies.tables import MethodTable, Paired, ScenarioTable
 from loopcal.estimation.result import FitResult
 from loopcal.figures.figure import COLOURS, Figure, axis, ends, layout, shown_text, trace
 from loopcal.figures.residuals import over_poses
@@ -22,41 +22,44 @@ from loopcal.report.templates import Section, page
 # Distributions of errors over many draws, method beside method, a printed draw among them.
 
 
-@dataclass(frozen=True)
-class ErrorBar:
-    """An error over all draws: mean, and the ends of the middle 95 %; printed: of one in print."""
+def _bars(methods: Sequence[MethodTable], unit: str) -> Figure | None:
+    """Middle 95 % of every error in this unit by method, on one scale; None where there are none.
 
-    name: str
-    mean: float
-    low: float
-    high: float
-    printed: float | None
-
-
-def error_bars(
-    key: str, title: str, unit: str, methods: Sequence[tuple[str, Sequence[ErrorBar]]]
-) -> Figure | None:
-    """Middle 95 % of every error [unit] by method, on one scale; None where there are none."""
-    shown = [(name, bars) for name, bars in methods if bars]
+    Open diamonds are errors of one draw in print.
+    """
+    every = [(m.method, [s for s in m.spreads if s.unit == unit]) for m in methods]
+    shown = [(name, spreads) for name, spreads in every if spreads]
     if not shown:
         return None
+    key, title = KINDS[unit]
+    in_words = unit_shown(unit, fine=True)
+
+    def at(values: Iterable[float]) -> Array:
+        return np.array([in_unit(value, unit, fine=True) for value in values])
+
     data: list[dict[str, Any]] = []
-    for i, (method, bars) in enumerate(shown):
-        at = [k + 0.3 * (i - 0.5 * (len(shown) - 1)) for k in range(len(bars))]
-        means, low, high = np.array([(bar.mean, bar.low, bar.high) for bar in bars]).T
+    widest = {}
+    for i, (method, spreads) in enumerate(shown):
+        places = [k + 0.3 * (i - 0.5 * (len(shown) - 1)) for k in range(len(spreads))]
+        means, low, high = (
+            at(getattr(s, name) for s in spreads) for name in ("bias", "low", "high")
+        )
+        widest[method] = float((high - low).max())
         colour = COLOURS[i % len(COLOURS)]
         marker: dict[str, Any] = {"color": colour, "size": 8}
         lines = ends(means, low, high, thickness=3)
-        data.append(trace("markers", method, at, means, error_y=lines, marker=marker))
-        printed = [(x, b.printed) for x, b in zip(at, bars, strict=True) if b.printed is not None]
+        data.append(trace("markers", method, places, means, error_y=lines, marker=marker))
+        printed = [
+            (x, s.published.error) for x, s in zip(places, spreads, strict=True) if s.published
+        ]
         if printed:
             marker = {"symbol": "diamond-open", "color": colour, "size": 11, "line": {"width": 2}}
-            x, y = np.array(printed).T
-            data.append(trace("markers", f"{method}, printed draw", x, y, marker=marker))
-    names = [bar.name for bar in shown[0][1]]
-    widest = {method: max(bar.high - bar.low for bar in bars) for method, bars in shown}
+            x, errors = zip(*printed, strict=True)
+            name = f"{method}, printed draw"
+            data.append(trace("markers", name, np.array(x), at(errors), marker=marker))
+    names = [s.name for s in shown[0][1]]
     widths_text = ", ".join(
-        f"{method} up to {width:.3g} {unit} wide" for method, width in widest.items()
+        f"{method} up to {width:.3g} {in_words} wide" for method, width in widest.items()
     )
     return Figure(
         key,
@@ -73,7 +76,7 @@ def error_bars(
                 tickvals=list(range(len(names))),
                 ticktext=[shown_text(name) for name in names],
             ),
-            yaxis=axis(f"true minus estimate [{unit}]", zeroline=True),
+            yaxis=axis(f"true minus estimate [{in_words}]", zeroline=True),
         ),
     )
 
@@ -162,18 +165,6 @@ def words(table: ScenarioTable) -> list[str]:
                 f"The published draw of {method.method} is an outlier in {', '.join(out)}."
             )
     return sentences
-
-
-def _bars(methods: Sequence[MethodTable], unit: str) -> Figure | None:
-    def at(value: float) -> float:
-        return in_unit(value, unit, fine=True)
-
-    def bar(s: Spread) -> ErrorBar:
-        printed = None if s.published is None else at(s.published.error)
-        return ErrorBar(s.name, at(s.bias), at(s.low), at(s.high), printed)
-
-    groups = [(m.method, [bar(s) for s in m.spreads if s.unit == unit]) for m in methods]
-    return error_bars(*KINDS[unit], unit_shown(unit, fine=True), groups)
 
 
 def _method(table: MethodTable) -> Table:

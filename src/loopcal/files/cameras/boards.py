@@ -11,9 +11,7 @@ a table of points     board, point, x, y, z with units in the header, [m] withou
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -33,6 +31,8 @@ _NUMBERED = (
 """Dictionaries in the order in which OpenCV numbers them."""
 
 
+_NAME = "board"
+"""Of a board that its file gives no name."""
 _FINDER = re.compile(r"(?:_?grid)?(?:_?target)?(?:_?finder)?(?:_?plugin)?$")
 """Ends of the names by which plugins of industrial_calibration find boards."""
 
@@ -49,15 +49,14 @@ def read_boards(path: str | Path) -> dict[str, Board]:
     described = document.get("board", "target", "target_finder", "target_definition") or document
     if isinstance(described.data, list):
         described = described.parts()[0]
-    return {"board": board_of(described)}
+    return {_NAME: _board_of(described)}
 
 
-def board_of(described: Part | Mapping[str, Any], name: str = "board") -> Board:
+def _board_of(part: Part) -> Board:
     """The board of a description: its kind, counts and sizes [m, or in its `unit`].
 
-    described: a part of a file, or the keys of a project. Raises InputError as `read_boards`.
+    Raises InputError as `read_boards`.
     """
-    part = described if isinstance(described, Part) else Part(dict(described), name)
     kind = (part.get("target_type", "type", "kind") or Part(_guessed(part), part.place)).text
     with placed(part.place, unless_stated=True):
         match _FINDER.sub("", kind.lower().rpartition(":")[2]).strip("_ "):
@@ -65,22 +64,22 @@ def board_of(described: Part | Mapping[str, Any], name: str = "board") -> Board:
                 counts = _counts(part, "tag")
                 size = _size(part, "size", "tagSize", "tag_size")
                 spacing = part.part("spacing", "tagSpacing", "tag_spacing").number
-                return printed.aprilgrid(*counts, size, spacing, name)
+                return printed.aprilgrid(*counts, size, spacing, _NAME)
             case "checkerboard" | "chessboard":
                 counts = _counts(part, "corner")
                 pitch = (
                     _size(part, *_SQUARE, "colSpacingMeters"),
                     _size(part, *_SQUARE, "rowSpacingMeters"),
                 )
-                return printed.checkerboard(*counts, pitch, name)
+                return printed.checkerboard(*counts, pitch, _NAME)
             case "charuco":
-                return _charuco(part, name)
+                return _charuco(part)
             case "circle" | "circles" | "asymmetric circles" | "modifiedcircle":
                 flag = part.get("asymmetricGrid", "asymmetric")
                 asymmetric = kind == "asymmetric circles" or bool(flag and flag.flag)
                 spacing = _size(part, "spacing", "spacingMeters", "pitch", "circle_spacing")
                 return printed.circles(
-                    *_counts(part, "circle"), spacing, name, asymmetric=asymmetric
+                    *_counts(part, "circle"), spacing, _NAME, asymmetric=asymmetric
                 )
     raise unknown_name(f"there is no kind of board {kind!r}", kind, printed.KINDS, part.place)
 
@@ -88,7 +87,7 @@ def board_of(described: Part | Mapping[str, Any], name: str = "board") -> Board:
 _SQUARE = ("square", "square_m", "square_size", "squareSize", "square_length", "chessboard_dim")
 
 
-def _charuco(part: Part, name: str) -> Board:
+def _charuco(part: Part) -> Board:
     stated = part.get("squares", "size")
     squares = [one.count for one in stated.parts()] if stated else list(_counts(part, "squares"))
     if len(squares) != 2:
@@ -104,7 +103,7 @@ def _charuco(part: Part, name: str) -> Board:
         _size(part, *_SQUARE),
         marker.length * _factor(part) if marker else 0.0,
         word,
-        name,
+        _NAME,
         legacy=bool(legacy and legacy.flag),
     )
 
@@ -162,7 +161,7 @@ def _of_table(path: str | Path) -> dict[str, Board]:
                 xyz[k] = to_si(table.numbers(i, every), headings[i].unit or "m")
     ids_at, boards_at = column("point"), column("board")
     ids = tuple(map(str, every)) if ids_at is None else table.labels(ids_at)
-    names = ("board",) * len(ids) if boards_at is None else table.ids(boards_at)
+    names = (_NAME,) * len(ids) if boards_at is None else table.ids(boards_at)
     boards: dict[str, dict[str, tuple[float, float, float]]] = {}
     for row, (name, one) in enumerate(zip(names, ids, strict=True)):
         points = boards.setdefault(name, {})

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -41,34 +42,31 @@ _CAMERA = re.compile(
 _CAMERA_FIRST = re.compile(r"(?P<camera>left|right|cam(?:era)?(?=[-_]))[-_]?(?=\d)", re.IGNORECASE)
 
 
-def read_corners(path: str | Path, first_pixel: float | None = None) -> CornerTable:
+def read_corners(path: str | Path) -> CornerTable:
     """The corners of a file; whatever its columns do not name is one camera "1", one "board".
 
-    first_pixel: coordinates [px] of the centre of the first pixel in the file, 0 where neither
-    this nor the file states it. Rows whose u or v is missing are left out. Raises InputError, with
-    row and column, for a table without columns of corners, and for what is no number; for one
-    corner twice in an image, and for corners without names that are not equally many everywhere.
+    Rows whose u or v is missing are left out. Raises InputError, with row and column, for a table
+    without columns of corners, and for what is no number; for one corner twice in an image, and for
+    corners without names that are not equally many everywhere.
     """
     path = Path(path)
     if path.suffix.lower() == ".json":
-        return _made(*_tags(read_document(path)), first_pixel or 0.0, path.name)
-    if first_pixel is None and path.is_file():
-        stated = _FIRST_PIXEL.search(bytes_of(path, _HEAD).lower())
-        first_pixel = float(stated[1]) if stated else 0.0
-    return corners_of(read_table(path), own_words(path.parent), first_pixel or 0.0)
+        return _made(*_tags(read_document(path)), path.name)
+    stated = _FIRST_PIXEL.search(bytes_of(path, _HEAD).lower()) if path.is_file() else None
+    first_pixel = float(stated[1]) if stated else 0.0
+    corners = corners_of(read_table(path), own_words(path.parent))
+    return replace(corners, u=corners.u - first_pixel, v=corners.v - first_pixel)
 
 
-def corners_of(
-    table: Table, spoken: Mapping[str, str] | None = None, first_pixel: float = 0.0
-) -> CornerTable:
+def corners_of(table: Table, spoken: Mapping[str, str]) -> CornerTable:
     """The corners of a table; spoken: what further words of its header mean."""
-    stems = [_stem(name, table, spoken or {}) for name in table.names]
+    stems = [_stem(name, table, spoken) for name in table.names]
     wide = _wide_columns(stems)
     at = {meaning: _column(meaning, stems) for meaning in ("u", "v")}
     if None not in at.values():
-        return _long(table, stems, first_pixel)
+        return _long(table, stems)
     if wide:
-        return _wide(table, stems, wide, first_pixel)
+        return _wide(table, stems, wide)
     raise InputError(
         "no columns of corners are recognised",
         code="missing-column",
@@ -113,7 +111,7 @@ def _column(meaning: str, stems: Sequence[str]) -> int | None:
     return next((stems.index(w) for w in words("corners", meaning) if w in stems), None)
 
 
-def _long(table: Table, stems: Sequence[str], first_pixel: float) -> CornerTable:
+def _long(table: Table, stems: Sequence[str]) -> CornerTable:
     count = len(table.rows)
     every = np.arange(count)
 
@@ -144,7 +142,7 @@ def _long(table: Table, stems: Sequence[str], first_pixel: float) -> CornerTable
         # mrcal marks a corner that is to be left out by a level of "-".
         u = np.where(np.isnan(level), np.nan, u)
     columns = (images, cameras, boards, points)
-    return _made(columns, u, v, values("sd"), level, first_pixel, table.name, table)
+    return _made(columns, u, v, values("sd"), level, table.name, table)
 
 
 def _counted(groups: Sequence[Any], u: Array, table: Table) -> tuple[str, ...]:
@@ -199,9 +197,7 @@ def _wide_columns(stems: Sequence[str]) -> dict[str, dict[str, int]]:
     return {point: axes for point, axes in columns.items() if {*axes} == {"u", "v"}}
 
 
-def _wide(
-    table: Table, stems: Sequence[str], wide: Mapping[str, Mapping[str, int]], first_pixel: float
-) -> CornerTable:
+def _wide(table: Table, stems: Sequence[str], wide: Mapping[str, Mapping[str, int]]) -> CornerTable:
     count = len(table.rows)
     every = np.arange(count)
     at = {meaning: _column(meaning, stems) for meaning in ("image", "camera", "board")}
@@ -218,7 +214,7 @@ def _wide(
         tuple(boards[i] for i in each),
         tuple(wide) * count,
     )
-    return _made(columns, u, v, None, None, first_pixel, table.name)
+    return _made(columns, u, v, None, None, table.name)
 
 
 _Columns = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], tuple[str, ...]]
@@ -230,13 +226,12 @@ def _made(
     v: Array,
     sd: Array | None,
     level: Array | None,
-    first_pixel: float,
     name: str,
     table: Table | None = None,
 ) -> CornerTable:
     """Corners that were seen; InputError for one that stands twice, and for a negative sd."""
     seen = np.flatnonzero(np.isfinite(u) & np.isfinite(v))
-    every = CornerTable(*columns, u - first_pixel, v - first_pixel, sd, level, name)
+    every = CornerTable(*columns, u, v, sd, level, name)
     if not seen.size:
         raise InputError(
             "no corner is seen in any image",

@@ -48,14 +48,13 @@ class Rig:
     T_camera_first: Mapping[str, Array]
 
 
-def read_intrinsics(path: str | Path, first_pixel: float = 0.0) -> dict[str, Intrinsics]:
+def read_intrinsics(path: str | Path) -> dict[str, Intrinsics]:
     """The cameras of a file by name, "camera" where it names none.
 
-    first_pixel: coordinates [px] of the centre of the first pixel there, 0 or 0.5. Raises
-    InputError for a file without cameras, for a lens that is not one of `LENSES`, and for numbers
-    that are none.
+    Raises InputError for a file without cameras, for a lens that is not one of `LENSES`, and for
+    numbers that are none.
     """
-    cameras = dict(read_rig(path, first_pixel).cameras)
+    cameras = dict(read_rig(path).cameras)
     if not cameras:
         raise InputError(
             "no camera is recognised in this file",
@@ -66,29 +65,27 @@ def read_intrinsics(path: str | Path, first_pixel: float = 0.0) -> dict[str, Int
     return cameras
 
 
-def read_rig(path: str | Path, first_pixel: float = 0.0) -> Rig:
+def read_rig(path: str | Path) -> Rig:
     """As `read_intrinsics`, with the places of the cameras; the cameras may be missing."""
     document = read_document(path)
-    cameras = dict(_cameras(document, "camera", first_pixel, _DEPTH))
+    cameras = dict(_cameras(document, "camera", _DEPTH))
     return Rig(cameras, dict(_places(document)))
 
 
-def _cameras(
-    part: Part, name: str, first_pixel: float, depth: int
-) -> Iterator[tuple[str, Intrinsics]]:
-    one = _camera(part, first_pixel)
+def _cameras(part: Part, name: str, depth: int) -> Iterator[tuple[str, Intrinsics]]:
+    one = _camera(part)
     if one is not None:
         named = part.get("camera_name")
         yield (named.text if named and named.text else name), one
         return
-    several = list(_matrices(part, name, first_pixel))
+    several = list(_matrices(part, name))
     yield from several
     for key, inner in part.items() if depth and not several else ():
         if isinstance(inner.data, dict):
-            yield from _cameras(inner, key, first_pixel, depth - 1)
+            yield from _cameras(inner, key, depth - 1)
 
 
-def _camera(part: Part, first_pixel: float) -> Intrinsics | None:
+def _camera(part: Part) -> Intrinsics | None:
     """The camera that a mapping describes; None where it describes none or several."""
     matrix = part.get("camera_matrix", "K", "k")
     model = part.get("distortion_model")
@@ -97,11 +94,11 @@ def _camera(part: Part, first_pixel: float) -> Intrinsics | None:
         fisheye = model.text in ("equidistant", "fisheye")
         if not (fisheye or model.text in ("plumb_bob", "rational_polynomial", "none", "")):
             raise _unsupported(model, "plumb_bob, rational_polynomial and equidistant")
-        return _of_matrix(matrix, D, _image(part), fisheye, first_pixel)
+        return _of_matrix(matrix, D, _image(part), fisheye)
     if "camera_model" in part and "intrinsics" in part:
-        return _of_kalibr(part, first_pixel)
+        return _of_kalibr(part)
     if {"fx", "fy", "cx", "cy"} <= {key for key, _ in part.items()}:
-        return _by_name(part, first_pixel)
+        return _by_name(part)
     return None
 
 
@@ -109,7 +106,7 @@ _EQUI = ("equidistant", "equi")
 """Kalibr writes the first, and is asked for the second."""
 
 
-def _of_kalibr(part: Part, first_pixel: float) -> Intrinsics:
+def _of_kalibr(part: Part) -> Intrinsics:
     if part.part("camera_model").text != "pinhole":
         raise _unsupported(part.part("camera_model"), "pinhole")
     model = part.get("distortion_model")
@@ -121,7 +118,7 @@ def _of_kalibr(part: Part, first_pixel: float) -> Intrinsics:
     fisheye = bool(model and model.text in _EQUI)
     none = model is None or model.text == "none"
     coefficients = () if none or stated is None else stated.numbers(4)
-    return _made(part, (fx, fy, cx, cy), coefficients, _pair(image), fisheye, first_pixel)
+    return _made(part, (fx, fy, cx, cy), coefficients, _pair(image), fisheye)
 
 
 _FISHEYES = re.compile(r"fish|equi|kannala|brandt|^kb\d?$")
@@ -129,7 +126,7 @@ _BROWNS = re.compile(r"pinhole|brown|conrady|plumb|radtan|rational|opencv|perspe
 """Words by which programs name a lens."""
 
 
-def _by_name(part: Part, first_pixel: float) -> Intrinsics:
+def _by_name(part: Part) -> Intrinsics:
     frame = [part.part(name).number for name in ("fx", "fy", "cx", "cy")]
     stated = part.get("lens", "model", "camera_model", "distortion_model", "projection")
     word = "" if stated is None else stated.text.lower()
@@ -144,10 +141,10 @@ def _by_name(part: Part, first_pixel: float) -> Intrinsics:
     elif stated is not None and word and not _BROWNS.search(word):
         raise _unsupported(stated, ", ".join(LENSES))
     coefficients = [c.number if (c := part.get(name)) else 0.0 for name in LENSES[lens]]
-    return _made(part, frame, coefficients, _image(part), lens == "fisheye", first_pixel)
+    return _made(part, frame, coefficients, _image(part), lens == "fisheye")
 
 
-def _matrices(part: Part, name: str, first_pixel: float) -> Iterator[tuple[str, Intrinsics]]:
+def _matrices(part: Part, name: str) -> Iterator[tuple[str, Intrinsics]]:
     """Matrices of cameras as OpenCV's programs store them, each with its distortion."""
     distortions = {
         (match["of"] or "").lower(): value
@@ -165,13 +162,11 @@ def _matrices(part: Part, name: str, first_pixel: float) -> Iterator[tuple[str, 
         stated = part.get("camera_name")
         D = distortions.get(of)
         image = _image(part)
-        camera = _of_matrix(value, D, image, bool(fisheye and fisheye.flag), first_pixel)
+        camera = _of_matrix(value, D, image, bool(fisheye and fisheye.flag))
         yield of or (stated.text if stated else name), camera
 
 
-def _of_matrix(
-    K: Part, D: Part | None, image: tuple[int, int] | None, fisheye: bool, first_pixel: float
-) -> Intrinsics:
+def _of_matrix(K: Part, D: Part | None, image: tuple[int, int] | None, fisheye: bool) -> Intrinsics:
     fx, skew, cx, zero, fy, cy, *last = K.numbers(9)
     if zero or last != [0.0, 0.0, 1.0]:
         raise K.wrong("a camera matrix fx 0 cx, 0 fy cy, 0 0 1")
@@ -182,7 +177,7 @@ def _of_matrix(
             place=K.place,
             remedy="calibrate the camera without skew; sensors of today have none",
         )
-    return _made(K, (fx, fy, cx, cy), () if D is None else D.numbers(), image, fisheye, first_pixel)
+    return _made(K, (fx, fy, cx, cy), () if D is None else D.numbers(), image, fisheye)
 
 
 def _made(
@@ -191,7 +186,6 @@ def _made(
     D: Sequence[float],
     image: tuple[int, int] | None,
     fisheye: bool,
-    first_pixel: float,
 ) -> Intrinsics:
     fx, fy, cx, cy = frame
     if not (fx > 0.0 and fy > 0.0):
@@ -222,7 +216,7 @@ def _made(
             remedy="calibrate the camera without tilt",
         )
     D = (*D, 0.0) if lens == "brown5" and len(D) == 4 else D[:12]
-    return Intrinsics(lens, fx, fy, cx - first_pixel, cy - first_pixel, D, image)
+    return Intrinsics(lens, fx, fy, cx, cy, D, image)
 
 
 def _image(part: Part) -> tuple[int, int] | None:

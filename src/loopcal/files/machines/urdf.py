@@ -6,9 +6,8 @@ Only the joints of this chain are validated. Names must be unique in the whole f
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +55,7 @@ def read_tree(
         if leaf != root:
             elements |= {str(e.get("name")): e for e in robot.chain(root, leaf)}
     bodies = tuple(
-        Hanging(robot._link(e, "child"), robot._link(e, "parent"), robot.joint(e))
+        Hanging(robot.link(e, "child"), robot.link(e, "parent"), robot.joint(e))
         for e in elements.values()
     )
     return root, bodies, _masses(robot, root, elements.values())
@@ -98,7 +97,7 @@ def branches(path: str | Path) -> tuple[Branch, ...]:
     """
     robot = UrdfRobot.read(path)
     roots = [link for link in robot.links if link not in robot.above]
-    parents = {robot._link(element, "parent") for element in robot.joints.values()}
+    parents = {robot.link(element, "parent") for element in robot.joints.values()}
     below: dict[str, list[str]] = {}
     for tip in robot.links:
         below.setdefault(robot.top(tip), []).append(tip)
@@ -164,7 +163,7 @@ def read_inertials(path: str | Path) -> dict[str, Inertial]:
     robot = UrdfRobot.read(path)
     inertials = {}
     for name, element in robot.joints.items():
-        link = robot.links[robot._link(element, "child")]
+        link = robot.links[robot.link(element, "child")]
         for stated in children(link, "inertial")[:1]:
             inertials[name] = robot.inertial(stated)
     return {name: one for name, one in inertials.items() if one.sound}
@@ -189,14 +188,14 @@ def _masses(robot: UrdfRobot, base: str, chain: Iterable[Any]) -> tuple[Load, ..
         return ()
     below: dict[str, list[Any]] = {}
     for element in robot.joints.values():
-        below.setdefault(robot._link(element, "parent"), []).append(element)
+        below.setdefault(robot.link(element, "parent"), []).append(element)
     carried: dict[str, tuple[str, NDArray[np.float64]]] = {base: ("", np.eye(4))}
     sums: dict[str, NDArray[np.float64]] = {}
     waiting = [base]
     for parent in waiting:  # it grows: each link adds those that hang on it
         for element in below.get(parent, ()):
             owner, T = carried[parent]
-            link, joint = robot._link(element, "child"), moved.get(element.get("name"))
+            link, joint = robot.link(element, "child"), moved.get(element.get("name"))
             if link in carried:
                 continue
             T = T @ robot.origin(element)
@@ -212,20 +211,6 @@ def _masses(robot: UrdfRobot, base: str, chain: Iterable[Any]) -> tuple[Load, ..
         Load(joint, joint, (*(total[:3] / total[3]).tolist(),), float(total[3]))
         for joint, total in sums.items()
     )
-
-
-def joint_elements(root: Any, file: str) -> dict[str, Callable[[], tuple[Any, LinkJoint]]]:
-    """By joint of a URDF, what gives its XML element and the joint read from it.
-
-    Raises InputError, also as a joint is read, as `read_urdf` does.
-    """
-    robot = UrdfRobot.of(root, file)
-    # Read on demand: joints off the chain may be of a kind that cannot be calibrated.
-    return {name: partial(_read_joint, robot, element) for name, element in robot.joints.items()}
-
-
-def _read_joint(robot: UrdfRobot, element: Any) -> tuple[Any, LinkJoint]:
-    return element, robot.joint(element)
 
 
 @dataclass(frozen=True)
@@ -247,7 +232,7 @@ class UrdfRobot:
         robot = cls(file, links, joints, {})
         above: dict[str, tuple[Any, ...]] = {}
         for element in joints.values():
-            child = robot._link(element, "child")
+            child = robot.link(element, "child")
             above[child] = (*above.get(child, ()), element)
         return cls(file, links, joints, above)
 
@@ -261,13 +246,13 @@ class UrdfRobot:
         by the drawing. Joints that float or slide in a plane stand still."""
         below: dict[str, list[Any]] = {}
         for element in self.joints.values():
-            below.setdefault(self._link(element, "parent"), []).append(element)
+            below.setdefault(self.link(element, "parent"), []).append(element)
         waiting = [link for link in self.links if link not in self.above][:1]
         chain: list[tuple[str, str, tuple[Step, ...]]] = []
         nominal: dict[str, float] = {}
         for parent in waiting:  # it grows: each link adds those that hang on it
             for element in below.get(parent, ()):
-                link = self._link(element, "child")
+                link = self.link(element, "child")
                 if element.get("type") in KINDS:
                     joint = self.joint(element)
                     nominal |= {p.name: p.nominal for p in joint.origin}
@@ -283,7 +268,7 @@ class UrdfRobot:
         met, waiting = set(), [base]
         while waiting:
             for element in self.above.get(waiting.pop(), ()):
-                link = self._link(element, "parent")
+                link = self.link(element, "parent")
                 if link == base:
                     _refuse(
                         element,
@@ -300,7 +285,7 @@ class UrdfRobot:
         met: set[str] = set()
         while tip not in met and self.above.get(tip):
             met.add(tip)
-            tip = self._link(self.above[tip][0], "parent")
+            tip = self.link(self.above[tip][0], "parent")
         return tip
 
     def chain(self, base: str, tip: str) -> list[Any]:
@@ -328,7 +313,7 @@ class UrdfRobot:
                     "describe closed loops as a machine of their own type, or delete one joint",
                 )
             elements.append(above[0])
-            link = self._link(above[0], "parent")
+            link = self.link(above[0], "parent")
             if link in passed:
                 _refuse(
                     above[0],
@@ -407,7 +392,8 @@ class UrdfRobot:
             )
         return str(kind)
 
-    def _link(self, element: Any, tag: str) -> str:
+    def link(self, element: Any, tag: str) -> str:
+        """The "parent" or "child" of a joint. Raises InputError where there is no such link."""
         link_names = [child.get("link") for child in children(element, tag)]
         if len(link_names) != 1 or not link_names[0]:
             _refuse(

@@ -21,7 +21,7 @@ from loopcal.files.recognition.joins import Fields, joined
 from loopcal.files.recognition.joint_sets import computed_column
 from loopcal.files.recognition.layouts import Seen, at_station
 from loopcal.files.recognition.logs import at_rest
-from loopcal.files.recognition.meanings import Meaning, inverse, polar, positions, rotations
+from loopcal.files.recognition.meanings import Meaning, inverse, polar, positions, turned_by
 from loopcal.files.recognition.sources import sources_of_all
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.datasheet import rounding_sd
@@ -244,7 +244,7 @@ def _meaning(fields: Fields, one: SourceInstrument, stations: Field | None) -> M
     if spherical:
         angle = length[1]
     order = tuple(range(len(turned)))
-    R = rotations(seen, angle, one.form, order) if turned else None
+    R = turned_by(seen, angle, one.form, order) if turned else None
     at = positions(seen, length[0], angle, one.form)
     made = Meaning(seen, length[0], angle, one.form, order, False, at, R, ())
     return inverse(made) if one.inverted else made

@@ -175,12 +175,12 @@ def _orientations(
                 "rad",
                 "matrix",
                 order,
-                rotations(seen, "rad", "matrix", order),
+                turned_by(seen, "rad", "matrix", order),
                 (f"the matrix {words}",),
             )
     elif seen.form == "quaternion":
         for order, words in _QUATERNIONS:
-            R = rotations(seen, "rad", "quaternion", order)
+            R = turned_by(seen, "rad", "quaternion", order)
             form_words = (f"the quaternion {names_of(seen.turned)} in the order {words}",)
             yield "rad", "quaternion", order, R, form_words
     else:
@@ -188,33 +188,45 @@ def _orientations(
         forms = _FORMS_BY_NAME.get(names, _FORMS)
         for angle in _units(seen.turned, ANGLES, as_stated):
             for words, form, order in forms:
-                R = rotations(seen, angle, form, order)
+                R = turned_by(seen, angle, form, order)
                 form_words = (f"{names_of(seen.turned)} in {angle}, {words}",)
                 yield angle, form, order, R, form_words
 
 
-def rotations(seen: Seen, angle: str, form: str, order: Sequence[int]) -> Array:
-    """(N, 3, 3) of the numbers of an orientation; order: their columns, in the order of the form.
-
-    NaN where a number of a quaternion is missing.
-    """
-    from scipy.spatial.transform import Rotation
-
+def turned_by(seen: Seen, angle: str, form: str, order: Sequence[int]) -> Array:
+    """(N, 3, 3) of an orientation; order: of its columns, as the form has them."""
     values = np.array([seen.turned[i].values for i in order]).T
     if form == "matrix":
         return values.reshape(-1, 3, 3)
+    if form not in ("quaternion", "rotation-vector"):
+        # Capital letters: SciPy then turns about the moving axes, as Rz Ry Rx does.
+        form = "".join(t[1] for t in form.split()).upper()
+    return rotations(values if form == "quaternion" else to_si(values, angle), form)
+
+
+def rotations(values: Array, form: str) -> Array:
+    """Rotation matrices (N, 3, 3) of numbers (N, k), NaN where one is missing.
+
+    form: "quaternion", w first; "rotation-vector" [rad]; or the axes of three turns [rad] as SciPy
+    names them: "xyz" about fixed ones, "ZYX" about those that move.
+    """
+    from scipy.spatial.transform import Rotation
+
+    complete = np.isfinite(values).all(axis=1)
     if form == "quaternion":
-        w_last = values[:, [1, 2, 3, 0]]
-        # SciPy refuses NaN: a unit quaternion stands in until the matrix can be NaN.
-        R = Rotation.from_quat(np.nan_to_num(w_last, nan=0.5)).as_matrix()
-        R[np.isnan(w_last).any(axis=1)] = np.nan
-        return np.asarray(R)
-    turned = to_si(values, angle)
-    if form == "rotation-vector":
-        return np.asarray(Rotation.from_rotvec(turned).as_matrix())
-    # Capital letters: SciPy then turns about the moving axes, as Rz Ry Rx does.
-    letters = "".join(t[1] for t in form.split()).upper()
-    return np.asarray(Rotation.from_euler(letters, turned).as_matrix())
+        # SciPy refuses a quaternion of length 0.
+        complete &= np.linalg.norm(values, axis=1) > 0.0
+    matrices = np.full((len(values), 3, 3), np.nan)
+    if complete.any():
+        whole = values[complete]
+        if form == "quaternion":
+            made = Rotation.from_quat(whole[:, [1, 2, 3, 0]])  # SciPy has w last
+        elif form == "rotation-vector":
+            made = Rotation.from_rotvec(whole)
+        else:
+            made = Rotation.from_euler(form, whole)
+        matrices[complete] = made.as_matrix()
+    return matrices
 
 
 def polar(meaning: Meaning) -> Array:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from loopcal.errors import InputError, placed, unknown_name
+from loopcal.errors import InputError, unknown_name
 from loopcal.files.json_files import marked_json, read_json
+from loopcal.files.machines.parameter_entries import in_si
+from loopcal.files.toml.place import Place
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.units import convertible, to_si
 
 if TYPE_CHECKING:
     from loopcal.simulation.simulate import Simulation
@@ -49,6 +49,8 @@ def read_truth(path: str | Path, mechanism: Mechanism) -> Mapping[str, float]:
     Raises InputError for a file that is no truth, for a parameter the mechanism does not have,
     and for a value or unit that does not fit.
     """
+    from loopcal.files.toml.model import Value, validated
+
     document = read_json(path, "truth.json", SCHEMA)
     stated = document.get("parameters")
     if not isinstance(stated, dict) or not stated:
@@ -67,28 +69,8 @@ def read_truth(path: str | Path, mechanism: Mechanism) -> Mapping[str, float]:
                 mechanism.parameters.names,
                 f"{path}: parameters",
             )
-        place = f"{path}: parameters.{name}"
-        truth[name] = _value(entry, mechanism.parameters[name].unit, place)
+        place = Place(str(path)).at("parameters", name)
+        whole = entry if isinstance(entry, dict) else {"value": entry}
+        value = validated(Value, whole, place)
+        truth[name] = in_si(value.value, value.unit, mechanism.parameters[name].unit, place)
     return MappingProxyType(truth)
-
-
-def _value(entry: Any, expected: str, place: str) -> float:
-    value = entry.get("value") if isinstance(entry, dict) else entry
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise InputError(
-            f"the true value is {value!r}",
-            code="invalid-number",
-            place=place,
-            remedy='give {"value": number, "unit": "..."}',
-        )
-    unit = entry.get("unit", expected) if isinstance(entry, dict) else expected
-    with placed(place):
-        fits = convertible(str(unit), expected)
-    if not fits:
-        raise InputError(
-            f"the true value is in {unit}, the parameter in {expected}",
-            code="wrong-unit",
-            place=place,
-            remedy=f"give a unit that converts to {expected}",
-        )
-    return to_si(float(value), str(unit))

@@ -20,12 +20,14 @@ from numpy.typing import NDArray
 from loopcal.arrays import Array
 from loopcal.errors import InputError, listed, nearest, refuse_repeated, unknown_name
 from loopcal.files.recognition.headers import heading, meanings, words
+from loopcal.files.recognition.meanings import rotations
 from loopcal.files.tables.readers import NAMELESS, read_table
 from loopcal.files.tables.table import Table
 from loopcal.measurements.attained import AttainedPoses
 from loopcal.units import to_si, unit
 
-ANGLES = ("rpy", "zyx", "rotvec")
+ANGLES = {"rpy": "xyz", "zyx": "ZYX", "rotvec": "rotation-vector"}
+"""What three angles may mean -> the form of `rotations`."""
 _POSITION = ("x", "y", "z")
 _FORMS = {
     ("qw", "qx", "qy", "qz"): "quaternion",
@@ -213,8 +215,10 @@ class _Columns:
                     place=self.table.name,
                     remedy="give all its columns, or none",
                 )
-            form = means or self._convention(names)
-            return rotations(self._numbers(kind, names, "" if len(names) == 4 else "angle"), form)
+            if means == "quaternion":
+                return rotations(self._numbers(kind, names, ""), means)
+            numbers = self._numbers(kind, names, "angle")
+            return rotations(numbers, ANGLES[means or self._convention(names)])
         return None
 
     def _convention(self, names: Sequence[str]) -> str:
@@ -222,7 +226,7 @@ class _Columns:
         stated = self.stated
         if stated.angles is None and stated.ask is not None:
             question = f"What do {', '.join(names)} of {self.table.name} mean?"
-            stated.angles = ANGLES[stated.ask(question, _MEANINGS)]
+            stated.angles = [*ANGLES][stated.ask(question, _MEANINGS)]
         if stated.angles is None:
             raise InputError(
                 f"the columns {', '.join(names)} can mean different orientations",
@@ -246,32 +250,6 @@ def _role(stem: str) -> tuple[str, str] | None:
         return None
     plain = len(words) == 1 or words[1] in _COUNTED
     return ("", label) if plain or label in (*_CONDITIONS, "time", "direction") else None
-
-
-def rotations(values: Array, form: str) -> Array:
-    """Rotation matrices (N, 3, 3) of quaternions w, x, y, z or of three angles [rad].
-
-    form: "quaternion"; "rpy", turns about the fixed axes x, y, z; "zyx", turns about z, the new y
-    and the newest x; "rotvec". Rows with a missing value are NaN.
-    """
-    from scipy.spatial.transform import Rotation
-
-    complete = np.isfinite(values).all(axis=1)
-    if form == "quaternion":
-        # SciPy refuses a quaternion of length 0.
-        complete &= np.linalg.norm(values, axis=1) > 0.0
-    matrices = np.full((len(values), 3, 3), np.nan)
-    if complete.any():
-        complete_values = values[complete]
-        if form == "quaternion":
-            # scipy has w last
-            made = Rotation.from_quat(complete_values[:, [1, 2, 3, 0]])
-        elif form == "rotvec":
-            made = Rotation.from_rotvec(complete_values)
-        else:
-            made = Rotation.from_euler("xyz" if form == "rpy" else "ZYX", complete_values)
-        matrices[complete] = made.as_matrix()
-    return matrices
 
 
 def read_attained(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, BinaryIO
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.arrays import Array
-from loopcal.errors import InputError, nearest, placed, unknown_name
+from loopcal.errors import InputError, nearest, placed
 from loopcal.files.tables import delimited, parquet
 from loopcal.files.tables.cells import Cells
 from loopcal.files.tables.isolated import read_isolated
@@ -315,30 +315,15 @@ def refuse_doubles(table: Table, columns: Mapping[str, Column]) -> None:
 
 
 def _column(quantity: str, stated: ColumnLike) -> Column:
-    if isinstance(stated, Mapping):
-        keys = [field.name for field in fields(Column)]
-        for key in stated:
-            if key not in keys:
-                raise unknown_name(
-                    f"unknown key {key!r}", str(key), keys, f"column of {quantity!r}"
-                )
-        if "column" not in stated:
-            raise InputError(
-                "the column is not named",
-                code="missing-column",
-                place=f"column of {quantity!r}",
-                remedy='give column = "its name" or its number',
-            )
-        stated = Column(**stated)
-    column = stated if isinstance(stated, Column) else Column(stated)
-    for key, value in asdict(column).items():
-        if key in ("column", "sd_column") and isinstance(value, bool | float):
-            raise InputError(
-                f"{key} is {value!r}",
-                code="invalid-value",
-                place=f"column of {quantity!r}",
-                remedy="give a name, or a whole number from 1",
-            )
+    if isinstance(stated, Column | str):
+        return Column(stated) if isinstance(stated, str) else stated
+    # As a project's file is read; only that needs pydantic.
+    from loopcal.files.toml.place import NOTHING, Place
+    from loopcal.files.toml.tables import built, read_tables
+
+    place = Place(f"column of {quantity!r}")
+    entry = dict(stated) if isinstance(stated, Mapping) else {"column": stated}
+    column: Column = built(Column, read_tables(Column, entry, place).entry, NOTHING, place)
     return column
 
 

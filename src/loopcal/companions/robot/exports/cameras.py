@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,12 +14,10 @@ from loopcal.document.exported import Exported
 from loopcal.errors import InputError, listed
 from loopcal.files.cameras import written
 from loopcal.files.cameras.intrinsics import read_intrinsics
-from loopcal.files.machines.safe_xml import children, read_xml
-from loopcal.files.machines.urdf import NO_URDF, joint_elements
-from loopcal.files.toml.reader import shown
+from loopcal.files.machines.urdf import UrdfRobot
 from loopcal.mechanisms.cameras.lens import FRAME, LENSES, Intrinsics
 from loopcal.mechanisms.chain import product
-from loopcal.mechanisms.origins import CalibratedOrigin, LinkJoint
+from loopcal.mechanisms.origins import CalibratedOrigin
 from loopcal.mechanisms.placement import inverse
 from loopcal.mechanisms.station import Station
 
@@ -165,7 +162,7 @@ class CameraOrigins:
     warnings: tuple[str, ...] = ()
 
 
-def camera_origins(path: str | Path, exported: Exported) -> CameraOrigins:
+def camera_origins(robot: UrdfRobot, exported: Exported) -> CameraOrigins:
     """The joints of a URDF that carry cameras, with their calibrated origins.
 
     The frame of a camera is the link NAME_optical_frame, or the only one that ends so.
@@ -173,24 +170,24 @@ def camera_origins(path: str | Path, exported: Exported) -> CameraOrigins:
     cameras = cameras_of(exported)
     if not cameras:
         return CameraOrigins()
-    tree = _Tree.of(path)
-    if not exported.origins or exported.origins[0].joint.name not in tree.ends:
+    joints, links = robot.joints, [*robot.above]
+    if not exported.origins or exported.origins[0].joint.name not in joints:
         return CameraOrigins()
-    base = tree.ends[exported.origins[0].joint.name][0]
-    tip = tree.ends[exported.origins[-1].joint.name][1]
+    base = robot.link(joints[exported.origins[0].joint.name], "parent")
+    tip = robot.link(joints[exported.origins[-1].joint.name], "child")
     calibrated = {one.joint.name for one in exported.origins}
     origins, warnings = [], []
     for name, one in cameras.items():
         if one.T is None:
             continue
-        frame = tree.optical(name, alone=len(cameras) == 1)
+        frame = _optical(links, name, alone=len(cameras) == 1)
         if frame is None:
             warnings.append(
                 f"The URDF has no link {name + '_optical_frame'!r}: the place of the camera "
-                f"{name!r} is not in it. Links: {listed(tree.links)}."
+                f"{name!r} is not in it. Links: {listed(links)}."
             )
             continue
-        carried = tree.hung(frame, tip if one.on_hand else base, one.T, calibrated)
+        carried = _hung(robot, frame, tip if one.on_hand else base, one.T, calibrated)
         if carried is None:
             warnings.append(
                 f"The link {frame!r} does not hang by fixed joints on what carries the camera "
@@ -201,70 +198,43 @@ def camera_origins(path: str | Path, exported: Exported) -> CameraOrigins:
     return CameraOrigins(tuple(origins), tuple(warnings))
 
 
-@dataclass(frozen=True)
-class _Tree:
-    """ends: joint -> parent and child link; fixed: those that do not move; read: joint -> its
-    element and the joint."""
-
-    ends: Mapping[str, tuple[str, str]]
-    fixed: frozenset[str]
-    read: Mapping[str, Callable[[], tuple[Any, LinkJoint]]]
-
-    @classmethod
-    def of(cls, path: str | Path) -> _Tree:
-        root = read_xml(path, "robot", NO_URDF)
-        read = joint_elements(root, shown(path))
-        elements = {element.get("name"): element for element in children(root, "joint")}
-        ends = {
-            name: (_link(element, "parent"), _link(element, "child"))
-            for name, element in elements.items()
-        }
-        fixed = frozenset(n for n, element in elements.items() if element.get("type") == "fixed")
-        return cls(ends, fixed, read)
-
-    @property
-    def links(self) -> list[str]:
-        return [child for _, child in self.ends.values()]
-
-    def optical(self, name: str, *, alone: bool) -> str | None:
-        """The link that is a camera's frame; None where none is, or several may be."""
-        stated = [link for link in (f"{name}_optical_frame", name) if link in self.links]
-        usual = [link for link in self.links if link.endswith("optical_frame")]
-        if stated or not (alone and len(usual) == 1):
-            return next(iter(stated), None)
-        return usual[0]
-
-    def hung(
-        self, frame: str, holder: str, T_holder_camera: Array, calibrated: Collection[str]
-    ) -> CalibratedOrigin | None:
-        """The origin of the first fixed joint from what carries a camera to its frame; None where
-        a moving or a calibrated joint is between."""
-        carried = {holder: np.eye(4)}
-        link = holder
-        for joint, parent in self._up(holder, calibrated):
-            carried[parent] = joint.drawn @ carried[link]
-            link = parent
-        T_link_frame = np.eye(4)
-        for joint, parent in self._up(frame, calibrated):
-            if parent in carried:
-                T = carried[parent] @ T_holder_camera @ inverse(T_link_frame)
-                return replace(joint, T=T)
-            T_link_frame = joint.drawn @ T_link_frame
-        return None
-
-    def _up(self, link: str, calibrated: Collection[str]) -> Iterator[tuple[CalibratedOrigin, str]]:
-        """The fixed joints above a link, each as drawn with its parent link."""
-        above = {child: name for name, (_, child) in self.ends.items()}
-        met: set[str] = set()
-        while link in above and link not in met:
-            met.add(link)
-            name = above[link]
-            if name not in self.fixed or name in calibrated:
-                return
-            joint = self.read[name]()[1]
-            link = self.ends[name][0]
-            yield CalibratedOrigin(joint, np.eye(4), joint.axis), link
+def _optical(links: Collection[str], name: str, *, alone: bool) -> str | None:
+    """The link that is a camera's frame; None where none is, or several may be."""
+    stated = [link for link in (f"{name}_optical_frame", name) if link in links]
+    usual = [link for link in links if link.endswith("optical_frame")]
+    if stated or not (alone and len(usual) == 1):
+        return next(iter(stated), None)
+    return usual[0]
 
 
-def _link(element: Any, tag: str) -> str:
-    return next((str(one.get("link")) for one in children(element, tag)), "")
+def _hung(
+    robot: UrdfRobot, frame: str, holder: str, T_holder_camera: Array, calibrated: Collection[str]
+) -> CalibratedOrigin | None:
+    """The origin of the first fixed joint from what carries a camera to its frame; None where
+    a moving or a calibrated joint is between."""
+    carried = {holder: np.eye(4)}
+    link = holder
+    for joint, parent in _above(robot, holder, calibrated):
+        carried[parent] = joint.drawn @ carried[link]
+        link = parent
+    T_link_frame = np.eye(4)
+    for joint, parent in _above(robot, frame, calibrated):
+        if parent in carried:
+            T = carried[parent] @ T_holder_camera @ inverse(T_link_frame)
+            return replace(joint, T=T)
+        T_link_frame = joint.drawn @ T_link_frame
+    return None
+
+
+def _above(
+    robot: UrdfRobot, link: str, calibrated: Collection[str]
+) -> Iterator[tuple[CalibratedOrigin, str]]:
+    """The fixed joints above a link, each as drawn with its parent link."""
+    met: set[str] = set()
+    while link in robot.above and link not in met:
+        met.add(link)
+        element = robot.above[link][-1]
+        if element.get("type") != "fixed" or element.get("name") in calibrated:
+            return
+        joint, link = robot.joint(element), robot.link(element, "parent")
+        yield CalibratedOrigin(joint, np.eye(4), joint.axis), link

@@ -29,7 +29,7 @@ from loopcal.companions.robot.programs.program import Place, Span, replaced
 from loopcal.document.exported import Exported
 from loopcal.errors import InputError, nearest
 from loopcal.files.machines.safe_xml import children, content_of, read_xml
-from loopcal.files.machines.urdf import NO_URDF, joint_elements
+from loopcal.files.machines.urdf import NO_URDF, UrdfRobot
 from loopcal.files.toml.reader import shown
 from loopcal.mechanisms.origins import CalibratedOrigin, LinkJoint
 from loopcal.mechanisms.rest import roll_pitch_yaw, rotation
@@ -51,48 +51,46 @@ class Patched:
     warnings: tuple[str, ...]
 
 
-def patched_urdf(path: str | Path, origins: Sequence[CalibratedOrigin]) -> Patched:
-    """The URDF of a robot with calibrated origins.
-
-    Raises InputError with file and line if the file is not a URDF, or of another robot than the
-    one calibrated. Then a joint is absent, or its origin is neither the drawing's nor the new one.
-    """
-    return _Source.of(path).patched(origins)
-
-
 @dataclass(frozen=True)
-class _Source:
-    """A URDF that was read once: its text, where its tags stand, and its joints by name."""
+class UrdfSource:
+    """A URDF that was read once: its text, where its tags stand, and the robot in it."""
 
-    place: str
     text: XmlText
     tags: Mapping[Any, StartTag]
-    joints: Mapping[str, Any]
+    robot: UrdfRobot
 
     @classmethod
-    def of(cls, path: str | Path) -> _Source:
+    def of(cls, path: str | Path) -> UrdfSource:
+        """Raises InputError with file and line if the file is no URDF."""
         root, place = read_xml(path, "robot", NO_URDF), shown(path)
         text = XmlText.of(content_of(path), root.getroottree().docinfo.encoding, place)
         elements = (element for element in root.iter() if isinstance(element.tag, str))
         tags = dict(zip(elements, text.tags(), strict=True))
-        return cls(place, text, tags, joint_elements(root, place))
+        return cls(text, tags, UrdfRobot.of(root, place))
 
     def patched(self, origins: Sequence[CalibratedOrigin]) -> Patched:
-        """With these origins."""
+        """With calibrated origins.
+
+        Raises InputError for those of another robot: a joint is absent, or its origin is neither
+        the drawing's nor the new one.
+        """
+        place, joints = self.robot.file, self.robot.joints
         edits: list[Place] = []
         changed: list[str] = []
         rising: list[str] = []
         for one in origins:
             name = one.joint.name
-            if name not in self.joints:
+            if name not in joints:
                 raise InputError(
                     f"the robot has no joint {name!r}, which was calibrated",
                     code="unknown-name",
-                    place=self.place,
-                    remedy=f"name the URDF that was calibrated; {nearest(name, self.joints)}",
+                    place=place,
+                    remedy=f"name the URDF that was calibrated; {nearest(name, joints)}",
                 )
-            element, joint = self.joints[name]()
-            _check_same(one, joint, self.place)
+            # Joints off the chain may be of a kind that cannot be calibrated.
+            element = joints[name]
+            joint = self.robot.joint(element)
+            _check_same(one, joint, place)
             joint_edits = _edits(one, joint, element, self.tags)
             edits += joint_edits
             changed += [name] * bool(joint_edits)
@@ -214,12 +212,12 @@ def urdf(exported: Exported, options: ExportOptions) -> ExportFiles:
     that are described by this file one file each."""
     path = options.source
     assert path is not None
-    source = _Source.of(path)
-    robots = by_prefix(exported.origins, source.joints)
+    source = UrdfSource.of(path)
+    robots = by_prefix(exported.origins, source.robot.joints)
     files: dict[str, str | bytes] = {}
     warnings: list[str] = []
     for prefix, origins in robots.items():
-        hung = camera_origins(path, replace(exported, origins=origins))
+        hung = camera_origins(source.robot, replace(exported, origins=origins))
         done = source.patched((*origins, *hung.origins))
         files[f"{prefix if len(robots) > 1 else ''}{path.name}"] = done.content
         warnings += [*done.warnings, *hung.warnings]
