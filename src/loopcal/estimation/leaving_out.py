@@ -180,7 +180,7 @@ class LeavingOut:
         scales, ratios, change = scales_of(problem), estimate.ratios, 0.0
         if problem.mechanism.learnt_terms:
             sums = Sums(rest.total, False, equations)
-            common = all_learnt(problem, positions)
+            common = self.sensors is None and all_learnt(problem, positions)
             terms = learnt_terms(problem, sums, offset, common=common)
             scales = terms.scales
             if self.sensors is None:

@@ -409,7 +409,7 @@ class _Search:
         )
         model = _spent(model, prints, self.stated, self.positions)
         end = None if self.as_read else solution
-        return in_turn(present, model, ratios, lowest, end)
+        return in_turn(present, model, ratios, lowest, common=self.common, end=end)
 
 
 def scaled(problem: Problem, components: Sequence[Sequence[int]], ratios: Array) -> Problem:

@@ -104,7 +104,7 @@ class TermFit(MixedFit):
 class TermVariances:
     """The terms at one linearisation: the sums that say it, and where the likelihood is greatest.
 
-    free: which of log phi and the logarithms of the variances were learnt.
+    free: which of log phi and the logarithms of the variances are learnt, here or beside.
     """
 
     system: TermSystem

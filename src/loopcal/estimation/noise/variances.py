@@ -111,15 +111,18 @@ def in_turn(
     linear: LinearModel,
     ratios: Array,
     lowest: Array,
+    *,
+    common: bool,
     end: End[Any] | None = None,
 ) -> Variances:
     """The scales of the terms at the sensors' present ratios, then one step of the ratios.
 
     problem: at the scales of the fit; linear: where the fit ended; ratios: (c,) present ones,
-    lowest: (c,) what none falls below; end: of the fit, whose sums over all poses serve where it
-    linearised the loops at the same place. Without terms the ratios are the best ones at once. The
-    scales are not learnt beside a factor of all noise: of few poses they would explain everything
-    without noise, which the ratios then contradict, and the turns never end.
+    lowest: (c,) what none falls below; common: whether all noise is learnt; end: of the fit, whose
+    sums over all poses serve where it linearised the loops at the same place. Without terms the
+    ratios are the best ones at once. The scales are not learnt beside a factor of all noise: of few
+    poses they would explain everything without noise, which the ratios then contradict, and the
+    turns never end. Their sds allow for it.
 
     Raises NoTrustworthyResult where the loops have no noise.
     """
@@ -132,6 +135,8 @@ def in_turn(
         raise no_noise()
     sums = Sums(joined.total, False, sum(block.e.size for block in linear.blocks))
     learnt = learnt_terms(problem, sums, linear.offset, common=False)
+    if common:
+        learnt = replace(learnt, free=np.ones_like(learnt.free))
     prior_sd = begun_with(problem, learnt.scales).prior_sd
     linear = replace(linear, precision=1.0 / np.square(prior_sd))
     if (ratios <= lowest).all():
