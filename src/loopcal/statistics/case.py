@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from loopcal.arrays import Array
 from loopcal.estimation.calibrate import calibrate, may_be_faulty
 from loopcal.estimation.fit import Fit, instrument_noise, modelled
-from loopcal.estimation.methods import implicit_loop
+from loopcal.estimation.methods import implicit_loop, least_squares
 from loopcal.estimation.problem.problem import Weighting
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.solver import Progress
@@ -202,6 +202,10 @@ def entrants(
         yield Entrant(method.name, replace(case, fit=plain))
     if case.mechanism.outputs:
         drawn = nominal_case(case, moved)
+        if images and not (machine.joints or alone):
+            # Poses count as exact: only least squares states what images share by their errors.
+            exact = drawn.fit.changed(method=least_squares.METHOD)
+            drawn = replace(drawn, noise=None, fit=exact)
         if (
             drawn.mechanism.parameters.free
         ):  # else the accuracy before the fit is that of the drawing

@@ -5,6 +5,7 @@ The errors are quadratic functions of where the flange is, of zero mean over the
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from loopcal.estimation.fit import Fit
 from loopcal.estimation.fit_document import fit_document
 from loopcal.small_samples import f_limit
 from loopcal.statistics.calibrated import Calibrated
+from loopcal.statistics.predictor import predictor, predictor_of
 from tests.estimation.cameras.test_image_errors import (
     CORNER,
     EYE,
@@ -111,3 +113,47 @@ def test_another_day_reads_from_a_file_what_its_images_share() -> None:
     for one in ("matrix", "slopes"):
         a, b = (getattr(c.predicting.covariance, one) for c in (of_result, of_file))
         np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-4 * np.abs(a).max())
+
+
+@pytest.mark.parametrize(
+    ("farther", "least", "most", "alarms"), [(1.5, 0.65, 2.2, 0.25), (2.5, 0.65, 3.0, 0.9)]
+)
+def test_images_far_from_those_of_the_fit_are_less_sure(
+    farther: float, least: float, most: float, alarms: float
+) -> None:
+    """Without what the fit leaves unknown there: 35 and 6 % inside, rms 2.7 and 5.8."""
+    inside, squares, extrapolated = [], [], []
+    for seed in range(12):
+        random = np.random.default_rng(seed)
+        poses(random, 20)
+        amplitudes = random.standard_normal((6, 6))  # as in `calibrated`
+        random = np.random.default_rng(2000 + seed)
+        T = poses(random, 60)
+        T[:, :3, 3] *= farther * 0.15 / np.abs(T[:, :3, 3]).max(axis=1, keepdims=True)
+        uv = images(bent(T, amplitudes))
+        prediction = lc.predict(calibrated(seed, True), stated(T))
+        at = [[*prediction.outputs].index(name) for name in NAMES[:2]]
+        off = np.array([uv[i] - prediction.outputs[NAMES[i]] for i in range(2)]).T
+        C = prediction.covariance[:, at][:, :, at]
+        square = np.einsum("ni,nij,nj->n", off, np.linalg.inv(C), off)
+        inside.append(square <= f_limit(0.95, 2, prediction.freedom[:, at[0]]))
+        squares.append(square / 2.0)
+        extrapolated.append(prediction.extrapolated)
+    print(np.mean(inside), np.sqrt(np.mean(squares)), np.mean(extrapolated))
+    assert np.mean(inside) >= least
+    assert np.sqrt(np.mean(squares)) <= most
+    assert np.mean(extrapolated) >= alarms
+
+
+def test_a_file_states_images_far_away_alike() -> None:
+    result = calibrated(0, True)
+    document = replace(fit_document(result), prediction=predictor(result).entry)
+    of_file = predictor_of(document, result.calibrated)
+    T = poses(np.random.default_rng(1), 5)
+    T[:, :3, 3] *= 4.0
+    near, far = (
+        lc.predict(one, stated(T)).covariance for one in (replace(of_file, pose_part=None), of_file)
+    )
+    assert (np.einsum("nii->n", far) > 2.0 * np.einsum("nii->n", near)).all()
+    of_result = lc.predict(result, stated(T)).covariance
+    np.testing.assert_allclose(far, of_result, rtol=1e-4, atol=1e-4 * np.abs(far).max())
