@@ -200,7 +200,10 @@ def entrants(
             continue
         plain = fit.changed(method=method, model_error="none")
         yield Entrant(method.name, replace(case, fit=plain))
-    if case.mechanism.outputs:
+    # Without stated lens and joints nothing is drawn but the print: all else would be the same fit
+    # with other weights, one sd for all cameras, and poses exact.
+    stated = {*machine.parameters.of_role("lens")} - unstated_lenses(machine)
+    if case.mechanism.outputs and (stated or machine.joints or not images):
         drawn = nominal_case(case, moved)
         if images and not (machine.joints or alone):
             # Poses count as exact: only least squares states what images share by their errors.

@@ -118,15 +118,15 @@ def unknown_share(smooth: SmoothErrors, rows: Array) -> Array:
     total = sum(smooth.sizes)
     if not total:
         return np.zeros(len(rows))
-    own = smooth.alone / total
-    told, of_fit = np.zeros(len(rows)), np.zeros(len(fit.rows))
+    alone = smooth.alone / total
+    share, of_fit = np.zeros(len(rows)), np.zeros(len(fit.rows))
     for length, size in zip(smooth.lengths, smooth.sizes, strict=True):
-        inverse = np.linalg.inv(fit.alike(fit, length) + own * np.eye(len(fit.rows)))
+        inverse = np.linalg.inv(fit.alike(fit, length) + alone * np.eye(len(fit.rows)))
         k = fit.alike(others, length)
-        told += size / total * np.einsum("im,ij,jm->m", k, inverse, k, optimize=True)
+        share += size / total * np.einsum("im,ij,jm->m", k, inverse, k, optimize=True)
         # What is left of an error by all others has the variance 1 / inverse_ii, its own share too.
-        of_fit += size / total * (1.0 + own - 1.0 / np.diag(inverse))
-    unknown = np.clip(1.0 - told / max(float(np.median(of_fit)), 1e-12), 0.0, 1.0)
+        of_fit += size / total * (1.0 + alone - 1.0 / np.diag(inverse))
+    unknown = np.clip(1.0 - share / max(float(np.median(of_fit)), 1e-12), 0.0, 1.0)
     middle = fit.points.mean(axis=0)
     near, far = (np.square(one.points - middle).sum(axis=1) for one in (fit, others))
     return np.asarray(np.maximum(1.0, far / near.mean()) * unknown)
