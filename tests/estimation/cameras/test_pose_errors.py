@@ -147,7 +147,9 @@ def test_images_far_from_those_of_the_fit_are_less_sure(
 
 def test_a_file_states_images_far_away_alike() -> None:
     result = calibrated(0, True)
-    document = replace(fit_document(result), prediction=predictor(result).entry)
+    made = predictor(result)
+    assert made is not None
+    document = replace(fit_document(result), prediction=made.entry)
     of_file = predictor_of(document, result.calibrated)
     T = poses(np.random.default_rng(1), 5)
     T[:, :3, 3] *= 4.0

@@ -101,13 +101,13 @@ class StatedPoses:
 def unknown_share(smooth: SmoothErrors, rows: Array) -> Array:
     """(n,) of the variance of the smooth error of poses (n, 7): what the fit leaves unknown of it.
 
-    By kriging (Krige 1951) the poses of the fit tell of the error of another one the share
+    By kriging (Krige 1951) the poses of the fit determine of the error of another one the share
 
         s = sum_l c_l k_l^T (K_l + a I)^-1 k_l,
 
     c the shares of the lengths, k the correlations with these poses, K those between them, a what
-    each has by itself. Of their own errors they tell s_0, the median over each by all others: that
-    much the learnt sds allow for. The share is 1 - s / s_0.
+    each has by itself. Of their own errors they determine s_0, the median over each by all others:
+    that much the learnt sds allow for. The share is 1 - s / s_0.
 
     Farther from their middle than they are (rms), it grows as the square of that distance: the
     parameters take up what is constant and linear, and what is left of a smooth function grows at
