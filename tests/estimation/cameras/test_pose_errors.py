@@ -19,6 +19,7 @@ from loopcal.estimation.fit_document import fit_document
 from loopcal.small_samples import f_limit
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.predictor import predictor, predictor_of
+from loopcal.statistics.verification import verify
 from tests.estimation.cameras.test_image_errors import (
     CORNER,
     EYE,
@@ -106,13 +107,40 @@ def test_other_images_of_the_same_robot_share_the_error(smooth: bool) -> None:
 
 def test_another_day_reads_from_a_file_what_its_images_share() -> None:
     result = calibrated(0, True)
+    document = fit_document(result)
+    made = predictor(result)
+    assert made is not None
+    document = replace(document, prediction=made.entry)
     of_result = Calibrated.of(result, "")
-    of_file = Calibrated.from_document(fit_document(result), result.calibrated, None, "")
-    assert (of_result.predicting.covariance.matrix < of_result.covariance.matrix).diagonal().any()
-    assert not of_result.predicting.covariance.slopes[-1].any()
-    for one in ("matrix", "slopes"):
-        a, b = (getattr(c.predicting.covariance, one) for c in (of_result, of_file))
-        np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-4 * np.abs(a).max())
+    of_file = Calibrated.from_document(document, result.calibrated, None, "")
+    for farther in (1.0, 3.0):
+        T = poses(np.random.default_rng(7), 20)
+        T[:, :3, 3] *= farther
+        day = lc.Dataset.from_arrays(stated(T))
+        a, b = (c.predicting(day).covariance for c in (of_result, of_file))
+        near = (a.matrix < of_result.covariance.matrix).diagonal().any()
+        assert near == (farther == 1.0)
+        for one in ("matrix", "slopes"):
+            x, y = getattr(a, one), getattr(b, one)
+            np.testing.assert_allclose(x, y, rtol=1e-4, atol=1e-4 * np.abs(x).max())
+
+
+def test_an_unchanged_day_elsewhere_is_as_calibrated() -> None:
+    """Without what the fit leaves unknown there: 5 of 8 days are changed."""
+    changed = 0
+    for seed in range(8):
+        random = np.random.default_rng(seed)
+        poses(random, 20)
+        amplitudes = random.standard_normal((6, 6))  # as in `calibrated`
+        random = np.random.default_rng(3000 + seed)
+        T = poses(random, 15)
+        T[:, :3, 3] *= 1.6
+        uv = images(bent(T, amplitudes)) + random.normal(0.0, CORNER, (len(NAMES), 15))
+        day = lc.Dataset.from_arrays(stated(T) | dict(zip(NAMES, uv, strict=True)))
+        verification = verify(calibrated(seed, True), day)
+        changed += verification.changes is None or verification.changes.code != "unchanged"
+    print(changed)
+    assert changed <= 1
 
 
 @pytest.mark.parametrize(
