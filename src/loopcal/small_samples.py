@@ -92,6 +92,12 @@ class LearntCovariance:
         slopes[-1:] = 0.0
         return LearntCovariance(self.matrix - part, self.plain, slopes)
 
+    def widened(self, part: Array, spread: float) -> LearntCovariance:
+        """With this part besides, whose size has that relative sd along the last of `slopes`."""
+        slopes = self.slopes.copy()
+        slopes[-1:] += spread * part
+        return LearntCovariance(self.matrix + part, self.plain + part, slopes)
+
     def of(self, index: NDArray[np.intp]) -> LearntCovariance:
         """Of some of the estimates."""
         at = (..., index[:, None], index)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import loopcal as lc
+from loopcal.estimation.fit import Fit
 from loopcal.execution.executor import InProcess
 from loopcal.statistics.case import Case, Entrant, entrants, without_terms
 from loopcal.statistics.choice import _taken, choose
@@ -19,6 +20,8 @@ from loopcal.statistics.gain import Gain
 from loopcal.statistics.judged import Judged
 from loopcal.statistics.noise_floor import noise_floor
 from loopcal.statistics.risks import beats
+from tests.estimation.cameras.test_image_errors import MACHINE, NAMES, images, poses
+from tests.estimation.cameras.test_image_errors import stated as seen_at
 from tests.reference.simulated import Simulated, planar_arm
 from tests.refusals import refused
 
@@ -243,3 +246,15 @@ def test_a_calibration_that_does_not_converge_is_not_hidden_by_the_nominal_machi
     assert result.chosen is not None
     assert result.chosen.method == "implicit-loop"
     assert not result.status.converged
+
+
+@pytest.mark.parametrize("stated", [False, True])
+def test_images_have_a_nominal_machine_only_where_their_lens_is_stated(stated: bool) -> None:
+    """Else it would be the same fit at one sd for all cameras, its poses exact."""
+    T = poses(np.random.default_rng(0), 30)
+    data = lc.Dataset.from_arrays(seen_at(T) | dict(zip(NAMES, images(T), strict=True)))
+    sds = {"[xyz]": 1e-4, "w[xyz]": 1e-4, "eye": 0.2}
+    parameters = MACHINE.parameters.with_prior({"eye_f": 9.0} if stated else {})
+    case = Case(MACHINE.with_parameters(parameters), data, lc.Noise(sds), Fit(method="auto"))
+    drawn = [one.case.fit.method for one in entrants(case) if one.drawn]
+    assert [method.name for method in drawn] == ["least-squares"] * stated

@@ -328,6 +328,27 @@ class RegionEntry:
 
 
 @dataclass(frozen=True)
+class SmoothErrors:
+    """Errors of the poses that a robot states, alike in poses near each other: what predictions of
+    poses far from those of the fit need beside `pose_part`."""
+
+    poses: tuple[tuple[float, ...], ...]
+    """Of the fit, some of them where there are many: x, y, z [m], qw, qx, qy, qz."""
+    units: tuple[float, float]
+    """Mean squares of distance [m squared] and of turn over all pairs of poses of the fit."""
+    lengths: tuple[float, ...]
+    """Over which errors are alike, in these units."""
+    sizes: tuple[float, ...]
+    """Of each length the variance, in units of the learnt ones."""
+    alone: float
+    """The variance that each pose has by itself."""
+    variances: tuple[float, ...]
+    """Of errors of x, y, z, wx, wy, wz [SI squared], less those of the learnt sds."""
+    spread: Size
+    """Relative sd of the smooth variance."""
+
+
+@dataclass(frozen=True)
 class PredictionEntry:
     """What `loopcal predict` needs beside the covariance and the calibrated mechanism."""
 
@@ -351,6 +372,8 @@ class PredictionEntry:
     shared: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     """Output -> what each of the independent errors, of one sd, that all outputs of an image share
     does to it, beside `residual`; empty: the outputs err by themselves."""
+    smooth_errors: SmoothErrors | None = None
+    """Of stated poses; null: none that are learnt, or written by an earlier version."""
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import numpy as np
 from loopcal.arrays import Array
 from loopcal.document.change_points import Dependence
 from loopcal.document.choice import Chosen, TermEntry
-from loopcal.document.findings import ColumnFault, Identifiability
+from loopcal.document.findings import ColumnFault, Identifiability, SmoothErrors
 from loopcal.document.fit import ChiSquared, NoiseEntry
 from loopcal.document.result_document import DataEntry, Parts
 from loopcal.errors import InputError
@@ -161,7 +161,17 @@ class FitResult:
             return None
         factor = self._variance_factor if self.variance_factor_applied else None
         root = self.learnt.root
-        return np.asarray((factor or 1.0) * root @ self.learnt.alike[0] @ root.T)
+        return np.asarray((factor or 1.0) * root @ self.learnt.alike.gained @ root.T)
+
+    @property
+    def smooth_errors(self) -> SmoothErrors | None:
+        """Of stated poses, for predictions far from those of the fit; None without `pose_part`."""
+        if self.pose_part is None or self.learnt is None or self.learnt.alike is None:
+            return None
+        factor = self._variance_factor if self.variance_factor_applied else None
+        smooth = self.learnt.alike.smooth
+        scaled = tuple((factor or 1.0) * v for v in smooth.variances)
+        return replace(smooth, variances=scaled)
 
     def covariance_through(self, S: Array, drifting: Drifting | None) -> LearntCovariance:
         """Of S (N, m, n) times the estimated parameters, under a known drift, or without any, for

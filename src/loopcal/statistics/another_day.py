@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from loopcal.document.change_points import ChangePoint
 from loopcal.estimation.dependence.dependence import joint_rows, pose_order
+from loopcal.estimation.dependence.stated_poses import QUANTITIES
 from loopcal.estimation.noise.learning import with_model
 from loopcal.estimation.problem.constants import with_latest
 from loopcal.estimation.problem.problem import Problem, build_problem, taken
@@ -184,7 +185,7 @@ def day_problem(calibrated: Calibrated, data: Dataset, noise: Noise | None) -> P
     """
     mechanism = calibrated.mechanism
     data = with_latest(mechanism, data if noise else as_learnt(calibrated, data))
-    weighed = None if calibrated.residual is not None else (noise or noise_of(calibrated))
+    weighed = None if calibrated.residual is not None else (noise or noise_of(calibrated, data))
     if weighed is not None:
         mechanism, data = with_model(mechanism, data, weighed)
     # Nothing is estimated by it: with informative priors any number of poses will do.
@@ -200,14 +201,21 @@ def as_learnt(calibrated: Calibrated, data: Dataset) -> Dataset:
     return replace(data, sds={q: sd for q, sd in data.sds.items() if q not in learnt})
 
 
-def noise_of(calibrated: Calibrated) -> Noise:
-    """The sds that a calibration used, for other readings; what had none was not measured."""
+def noise_of(calibrated: Calibrated, data: Dataset | None = None) -> Noise:
+    """The sds that a calibration used, for other readings; what had none was not measured.
+
+    data: these readings. Where a robot states poses far from those of the fit, sds are larger.
+    """
     entries: dict[str | tuple[str, ...], Any] = {}
     for entry in calibrated.noise:
         if entry.role == "disturbance":
             entries[MODEL] = entry.sd
             continue
         entries |= dict.fromkeys(entry.quantities, entry.sd)
+    unknown = None if data is None else calibrated.unknown_share(data)
+    if unknown is not None and calibrated.smooth_errors is not None:
+        for q, variance in zip(QUANTITIES, calibrated.smooth_errors.variances, strict=True):
+            entries[q] = np.sqrt(entries.get(q, 0.0) ** 2 + unknown * variance)
     disturbances = calibrated.mechanism.disturbances
     unmeasured = [q for q in calibrated.mechanism.quantities if q not in (*entries, *disturbances)]
     return Noise(entries | dict.fromkeys(unmeasured, np.inf))

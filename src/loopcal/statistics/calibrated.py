@@ -11,13 +11,16 @@ from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.document.choice import TermEntry
+from loopcal.document.findings import SmoothErrors
 from loopcal.document.fit import ChiSquared, CovarianceEntry, NoiseEntry
 from loopcal.document.plain import symmetric
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Answer
+from loopcal.estimation.dependence.stated_poses import unknown_share
 from loopcal.estimation.result import FitResult
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.parallel.free_body import COLUMNS, POSITION
 from loopcal.small_samples import LearntCovariance
 from loopcal.statistics.scatter import Scatter, scatter
 
@@ -53,7 +56,8 @@ class Calibrated:
     scatter: the covariance (n_all, n_all) that the poses themselves show, where it is known;
     hidden: quantities that no sensor reads, and where they usually are [SI]; conditions: in which
     it was measured (`FitResult.conditions`); sound: what its verdict says of it, None of a fit that
-    was not judged; pose_part: (n_all, n_all) of the covariance (`FitResult.pose_part`).
+    was not judged; pose_part: (n_all, n_all) of the covariance (`FitResult.pose_part`), and
+    smooth_errors, which say how far poses are from those of the fit.
     """
 
     name: str
@@ -74,6 +78,7 @@ class Calibrated:
     conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     sound: Answer | None = None
     pose_part: Array | None = None
+    smooth_errors: SmoothErrors | None = None
 
     @classmethod
     def of(cls, result: FitResult, name: str) -> Calibrated:
@@ -101,6 +106,7 @@ class Calibrated:
             _hidden(result),
             result.conditions,
             pose_part=_square(result.pose_part, free, size),
+            smooth_errors=result.smooth_errors,
         )
 
     @classmethod
@@ -146,6 +152,7 @@ class Calibrated:
             conditions={} if stored is None else stored.conditions,
             sound=None if document.verdict is None else document.verdict.sound,
             pose_part=_square(stored_pose_part(document.covariance), free, len(names)),
+            smooth_errors=None if stored is None else stored.smooth_errors,
         )
 
     @property
@@ -183,10 +190,21 @@ class Calibrated:
             pose_part=None if self.pose_part is None else M @ self.pose_part @ M.T,
         )
 
-    @property
-    def predicting(self) -> Calibrated:
-        """For other poses of the same robot, which share errors of its stated poses."""
-        return replace(self, covariance=self.covariance.less(self.pose_part), pose_part=None)
+    def predicting(self, data: Dataset) -> Calibrated:
+        """For other poses of the same robot, which share errors of its stated poses where they are
+        near those of the fit."""
+        part, unknown = self.pose_part, self.unknown_share(data)
+        covariance = self.covariance.less(part)
+        if part is not None and unknown is not None and self.smooth_errors is not None:
+            covariance = covariance.widened(unknown.mean() * part, self.smooth_errors.spread)
+        return replace(self, covariance=covariance, pose_part=None)
+
+    def unknown_share(self, data: Dataset) -> Array | None:
+        """(N,) of the smooth errors of these poses (`unknown_share`); None without any."""
+        columns = (*POSITION, *COLUMNS)
+        if self.smooth_errors is None or not {*columns} <= {*data.readings}:
+            return None
+        return unknown_share(self.smooth_errors, np.array([data[c] for c in columns]).T)
 
     @property
     def stationed(self) -> Calibrated:

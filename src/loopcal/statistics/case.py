@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from loopcal.estimation.calibrate import calibrate, may_be_faulty
 from loopcal.estimation.fit import Fit, instrument_noise, modelled
-from loopcal.estimation.methods import implicit_loop
+from loopcal.estimation.methods import implicit_loop, least_squares
 from loopcal.estimation.problem.problem import Weighting
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.solver import Progress
@@ -193,8 +193,15 @@ def entrants(
             continue
         plain = fit.changed(method=method, model_error="none")
         yield Entrant(method.name, replace(case, fit=plain))
-    if case.mechanism.outputs:
+    # Without stated lens and joints nothing is drawn but the print: all else would be the same fit
+    # with other weights, one sd for all cameras, and poses exact.
+    stated = {*machine.parameters.of_role("lens")} - unstated_lenses(machine)
+    if case.mechanism.outputs and (stated or machine.joints or not images):
         drawn = nominal_case(case, moved)
+        if images and not (machine.joints or alone):
+            # Poses count as exact: only least squares states what images share by their errors.
+            exact = drawn.fit.changed(method=least_squares.METHOD)
+            drawn = replace(drawn, noise=None, fit=exact)
         if (
             drawn.mechanism.parameters.free
         ):  # else the accuracy before the fit is that of the drawing

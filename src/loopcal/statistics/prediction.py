@@ -28,14 +28,17 @@ from numpy.typing import NDArray
 from loopcal.arrays import Array
 from loopcal.document.plain import plain
 from loopcal.errors import InputError
+from loopcal.estimation.dependence.stated_poses import QUANTITIES, unknown_share
 from loopcal.estimation.prediction import predict_outputs, solving
 from loopcal.estimation.problem.constants import with_implied, with_latest
+from loopcal.estimation.products import rows_times
 from loopcal.estimation.result import FitResult
-from loopcal.estimation.sensitivity import output_sensitivity
+from loopcal.estimation.sensitivity import Sensitivity, output_sensitivity
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike, resolve_noise
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import OutputGroup, output_groups
+from loopcal.mechanisms.parallel.free_body import COLUMNS, POSITION
 from loopcal.presentation.brief import brief
 from loopcal.presentation.shown import significant, with_unit
 from loopcal.small_samples import LearntCovariance, f_limit, t_quantile
@@ -267,6 +270,9 @@ def predict(
     total = calibrated.covariance.through(at.slopes)
     if at.from_readings is not None:
         total = total.plus(at.from_readings)
+    smooth = calibrated.smooth_errors
+    if at.elsewhere is not None and smooth is not None:
+        total = total.widened(at.elsewhere, smooth.spread)
     return Prediction(
         data.poses,
         dict(zip(calibrated.units, at.outputs, strict=True)),
@@ -286,13 +292,15 @@ def predict(
 class Parts:
     """Outputs of N poses (o, N) [SI], how the parameters move them (N, o, n), and both parts of
     their covariance (N, o, o); from_readings None where sds are not known; by_residuals: of what
-    the fit leaves."""
+    the fit leaves; elsewhere: the share of `from_parameters` by errors of stated poses that are far
+    from those of the fit."""
 
     outputs: Array
     slopes: Array
     from_parameters: Array
     from_readings: LearntCovariance | None
     by_residuals: bool
+    elsewhere: Array | None = None
 
     @property
     def covariance(self) -> Array:
@@ -332,11 +340,37 @@ def parts_at(
     o = len(calibrated.units)
     slopes = S.by_parameter[:, :o]
     from_parameters = by_parameters(calibrated, slopes, measured=measured)
+    elsewhere = None if measured else _elsewhere(calibrated, solved, x, constants, S)
+    if elsewhere is not None:
+        from_parameters = from_parameters + elsewhere
     readings = _by_readings(calibrated, solved, data, noise, S.by_reading[:, :o])
     left = _left(calibrated, len(data)) if readings is None and noise is None else None
     return Parts(
-        y[:o], slopes, from_parameters, left if readings is None else readings, left is not None
+        y[:o],
+        slopes,
+        from_parameters,
+        left if readings is None else readings,
+        left is not None,
+        elsewhere,
     )
+
+
+def _elsewhere(
+    calibrated: Predictor, solved: Mechanism, x: Array, constants: Array, S: Sensitivity
+) -> Array | None:
+    """(N, o, o) what errors of stated poses add where they are not those that the fit has met:
+    the parameters took up other ones, and the new ones are as large as these."""
+    smooth, part = calibrated.smooth_errors, calibrated.pose_part
+    if smooth is None or part is None:
+        return None
+    names, known, o = solved.tape.quantities, [*solved.tape.pose_constants], len(calibrated.units)
+    at = [x[names.index(q)] for q in POSITION] + [constants[known.index(c)] for c in COLUMNS]
+    by_pose = S.by_reading[:, :o][:, :, [names.index(q) for q in QUANTITIES]]
+    by_parameter = S.by_parameter[:, :o]
+    added = rows_times(by_parameter, part) @ by_parameter.transpose(0, 2, 1)
+    added += (by_pose * np.array(smooth.variances)) @ by_pose.transpose(0, 2, 1)
+    share = calibrated.factor * unknown_share(smooth, np.array(at).T)
+    return np.asarray(share[:, None, None] * added)
 
 
 def _unread_joints(mechanism: Mechanism, x: Array) -> NDArray[np.bool_]:

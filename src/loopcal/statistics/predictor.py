@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.arrays import Array
-from loopcal.document.findings import PredictionEntry, UsualSd
+from loopcal.document.findings import PredictionEntry, SmoothErrors, UsualSd
 from loopcal.document.fit import NoiseCovarianceEntry, NoiseEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError
@@ -98,7 +98,9 @@ class Predictor:
     outputs from; at_poses: (n, n) the covariance for the poses of the fit, None: the same; factor:
     by which the variances are larger here than the result states them, for its residuals are;
     conditions: known column (temperature, load) -> its range [SI] in the calibration; shared:
-    output -> what errors that all outputs of an image share do to it (`PredictionEntry`).
+    output -> what errors that all outputs of an image share do to it (`PredictionEntry`);
+    pose_part: (n, n) what `covariance` lacks where a pose is far from those of the fit, and
+    smooth_errors, which say how far (of the result, without `factor`).
     """
 
     __repr__ = brief
@@ -114,6 +116,8 @@ class Predictor:
     factor: float = 1.0
     conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     shared: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    pose_part: Array | None = None
+    smooth_errors: SmoothErrors | None = None
 
     @cached_property
     def units(self) -> dict[str, str]:
@@ -133,6 +137,7 @@ class Predictor:
             tuple(sorted(self.readings.unmeasured)),
             conditions=self.conditions,
             shared=self.shared,
+            smooth_errors=self.smooth_errors,
         )
 
     def unlike(self, columns: Mapping[str, Array]) -> list[str]:
@@ -169,7 +174,8 @@ def predictor_of(document: ResultDocument, mechanism: Mechanism) -> Predictor:
         raise without_outputs(mechanism)
     rejected = rejected_by(document.chi_squared, document.variance_factor_applied)
     covariance = stored_covariance(document.covariance, stored.covariance)
-    covariance = covariance.less(stored_pose_part(document.covariance))
+    pose_part = stored_pose_part(document.covariance)
+    covariance = covariance.less(pose_part)
     readings = ReadingNoise.of(document.noise, document.noise_covariances, stored.unmeasured)
     if any(q in readings.sds and q not in mechanism.quantities for q in disturbances(mechanism)):
         mechanism = with_model_error(mechanism)
@@ -190,6 +196,8 @@ def predictor_of(document: ResultDocument, mechanism: Mechanism) -> Predictor:
         factor=residual_factor(rejected),
         conditions=stored.conditions,
         shared=stored.shared,
+        pose_part=pose_part,
+        smooth_errors=stored.smooth_errors,
     )
 
 
@@ -231,7 +239,15 @@ def predictor(result: FitResult) -> Predictor | None:
     )
     residual = residual_variance(result) if result.image_errors else None
     shared = {} if residual is None else residual.shared
-    return replace(made, usual=usual, factor=factor, conditions=result.conditions, shared=shared)
+    return replace(
+        made,
+        usual=usual,
+        factor=factor,
+        conditions=result.conditions,
+        shared=shared,
+        pose_part=result.pose_part,
+        smooth_errors=result.smooth_errors,
+    )
 
 
 def _residual_sd(result: FitResult, outputs: Sequence[str]) -> float | None:

@@ -456,7 +456,7 @@ def _placed_anew(fit: FitResult, data: Dataset, noise: Noise | None, index: Inde
     Stated is the region of each pose, less what the placement takes up of it; not their
     probability, for they say where the instrument stands.
     """
-    calibrated = Calibrated.of(fit, "").predicting.stationed
+    calibrated = Calibrated.of(fit, "").predicting(data).stationed
     stated_noise = None if noise is None or noise.estimate else noise
     linear = Day.of(calibrated, data, stated_noise).linearised()
     placement, seen = linear.placement, linear.by_pose()

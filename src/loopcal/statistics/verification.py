@@ -94,7 +94,7 @@ def verified(
     tolerance: float | None = None,
 ) -> Verification:
     """`verify` of readings without wrong corners."""
-    calibrated = calibrated.predicting.stationed
+    calibrated = calibrated.predicting(data).stationed
     mechanism = calibrated.mechanism
     copied = copies(data, mechanism.recorded, mechanism.outputs).copied
     if copied.size:

@@ -23,24 +23,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.arrays import Array
+from loopcal.document.findings import SmoothErrors
 from loopcal.estimation.dependence.seen import Seen, seen
+from loopcal.estimation.dependence.stated_poses import QUANTITIES, StatedPoses
 from loopcal.estimation.problem.pose_equations import PoseEquations
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.products import rows_times
-from loopcal.mechanisms.parallel.free_body import COLUMNS, POSITION, TURNS
-
-QUANTITIES = (*POSITION, *TURNS)
 
 # docs/decisions/0161, in units of the root mean square over all pairs of poses.
 _LENGTHS = (0.5, 0.8, 1.2)
-_TURN = 0.3
-"""Weight w of turns beside distances, by the same arms."""
 _SHARES = (0.0, 0.25, 0.5, 0.75, 0.97)
 _VARIANCES = 2.0 ** np.arange(-1.0, 4.1, 0.5)
 # Chosen, not derived: variance and length are learnt as well from so many poses.
@@ -52,20 +50,30 @@ _LEAST = 1e-8
 """Of M: a direction of a pose that no corner shows."""
 
 
+class PoseErrors(NamedTuple):
+    """gained: (k, k) what the covariance of z gains; slope: (k, k) by how much one sd of the smooth
+    part changes that; smooth: what predictions of other poses need."""
+
+    gained: Array
+    slope: Array
+    smooth: SmoothErrors
+
+
 def pose_errors(
     problem: Problem, parameters: Array, equations: Sequence[PoseEquations], root: Array
-) -> tuple[Array, Array] | None:
-    """(k, k) what the covariance of z gains, and by how much one sd of the smooth part changes it.
+) -> PoseErrors | None:
+    """What they mean for the covariance of z, and for predictions.
 
     dp = root z, root^T (H + P) root = I; root: (n, k); parameters (n_all,), equations: where the
     fit ended.
 
     None where no robot states the poses, or all sds of them are learnt as 0.
     """
-    poses = _Poses.of(problem)
+    poses = StatedPoses.of(problem)
     if poses is None or not equations:
         return None
     sd, learnt = _usual_sds(problem), np.ones(6)
+    units = sd
     if not sd.any() or not np.isfinite(sd).all():
         return None
     view = _along_base(seen(problem, equations, root, QUANTITIES), poses.R)
@@ -73,7 +81,8 @@ def pose_errors(
         learnt = (sd > 0.0).astype(float)
         effect = np.einsum("nqq->q", view.M)
         turned = float(effect @ sd**2) / float((effect * (1.0 - learnt)).sum())
-        view = _scaled(view, np.where(sd > 0.0, sd, math.sqrt(turned)))
+        units = np.where(sd > 0.0, sd, math.sqrt(turned))
+        view = _scaled(view, units)
     away = problem.precision * (problem.nominal - parameters[problem.free])
     pull = root.T @ np.where(problem.precision > 0.0, away, 0.0)
     likelihood = _Likelihood.of(pull, equations, root, view, learnt)
@@ -93,67 +102,31 @@ def pose_errors(
     weights *= variance
     A = view.A
     N, q, k = A.shape
-    alone = float(weights @ (1.0 - share)) - learnt
+    alone = float(weights @ (1.0 - share))
     smooth = np.zeros((k, k))
     flat = A.reshape(N, q * k)
-    for i, length in enumerate(_LENGTHS):
-        size = float((weights * share)[place == i].sum())
+    sizes = [float((weights * share)[place == i].sum()) for i in range(len(_LENGTHS))]
+    for length, size in zip(_LENGTHS, sizes, strict=True):
         for first in range(0, N, _MOST):
             part = poses.take(np.arange(first, min(first + _MOST, N)))
             along = (part.alike(poses, length) @ flat).reshape(-1, k)
             smooth += size * A[first : first + _MOST].reshape(-1, k).T @ along
     smooth = 0.5 * (smooth + smooth.T)
-    gained = np.einsum("q,nqi,nqj->ij", alone, A, A) + smooth
-    return np.asarray(gained), np.asarray(scatter / max(mean, 1e-300) * smooth)
-
-
-@dataclass(frozen=True, eq=False)
-class _Poses:
-    """Stated poses: p (N, 3), R (N, 3, 3); squares: the mean squares of distance and turn."""
-
-    p: Array
-    R: Array
-    squares: tuple[float, float]
-
-    @classmethod
-    def of(cls, problem: Problem) -> _Poses | None:
-        """Those of the flange of a robot without joints; None of anything else."""
-        mechanism = problem.mechanism
-        constants, names = [*mechanism.pose_constants], mechanism.tape.quantities
-        stated = {*QUANTITIES} <= {*names} and {*COLUMNS} <= {*constants}
-        if mechanism.joints or not stated or len(problem.poses) < 3:
-            return None
-        w, x, y, z = (problem.pose_constants[constants.index(c)] for c in COLUMNS)
-        R = np.array(
-            [
-                [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
-            ]
-        )
-        R = np.moveaxis(R / (w * w + x * x + y * y + z * z), 2, 0)
-        p = problem.readings[[names.index(q) for q in POSITION]].T
-        # The mean square over all pairs is twice the variance; of n poses, n / (n - 1) times that.
-        pairs = 2.0 * len(p) / (len(p) - 1.0)
-        spread = (pairs * float(v.reshape(len(p), -1).var(axis=0).sum()) for v in (p, R))
-        distance, turn = (max(one, 1e-12) for one in spread)
-        return cls(p, R, (distance, turn))
-
-    def take(self, index: NDArray[np.intp]) -> _Poses:
-        """Some of the poses, in the same units."""
-        return replace(self, p=self.p[index], R=self.R[index])
-
-    def alike(self, others: _Poses, length: float) -> Array:
-        """(N, n) correlations k of errors with those of other poses."""
-        square = np.zeros((len(self.p), len(others.p)))
-        for weight, unit, a, b in (
-            (1.0, self.squares[0], self.p, others.p),
-            (_TURN, self.squares[1], self.R, others.R),
-        ):
-            a, b = a.reshape(len(a), -1), b.reshape(len(b), -1)
-            apart = np.square(a).sum(axis=1)[:, None] + np.square(b).sum(axis=1) - 2.0 * a @ b.T
-            square += weight / unit * np.maximum(apart, 0.0)
-        return np.asarray(np.exp(-0.5 * square / ((1.0 + _TURN) * length**2)))
+    gained = np.einsum("q,nqi,nqj->ij", alone - learnt, A, A) + smooth
+    spread = scatter / max(mean, 1e-300)
+    return PoseErrors(
+        np.asarray(gained),
+        np.asarray(spread * smooth),
+        SmoothErrors(
+            tuple(map(tuple, poses.some().rows.tolist())),
+            poses.squares,
+            _LENGTHS,
+            tuple(sizes),
+            alone,
+            tuple((np.maximum(alone + sum(sizes) - learnt, 0.0) * units**2).tolist()),
+            spread,
+        ),
+    )
 
 
 def _along_base(view: Seen, R: Array) -> Seen:

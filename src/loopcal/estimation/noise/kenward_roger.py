@@ -57,7 +57,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.arrays import Array
-from loopcal.estimation.dependence.pose_errors import pose_errors
+from loopcal.estimation.dependence.pose_errors import PoseErrors, pose_errors
 from loopcal.estimation.dependence.seen import Seen
 from loopcal.estimation.noise.linear_model import projected
 from loopcal.estimation.noise.variances import owners
@@ -109,13 +109,13 @@ class LearntParameters:
     loadings: tuple[Array, ...]
     added: Array
     shared: Array | None = None
-    alike: tuple[Array, Array] | None = None
+    alike: PoseErrors | None = None
 
     @property
     def gained(self) -> Array:
         """(k, k) all that the covariance of z gains."""
         gained = self.added if self.shared is None else self.added + self.shared
-        return gained if self.alike is None else gained + self.alike[0]
+        return gained if self.alike is None else gained + self.alike.gained
 
     @cached_property
     def plain(self) -> Array:
@@ -133,7 +133,7 @@ class LearntParameters:
         first = np.concatenate([self.sensors, *((u.T @ u)[None] for u in self.loadings)])
         along = np.tensordot(self.errors.T, first, 1)
         if self.alike is not None:
-            along[-1] = self.alike[1]
+            along[-1] = self.alike.slope
         return LearntCovariance(self.matrix, self.plain, self.root @ along @ self.root.T)
 
     def through(self, S: Array) -> LearntCovariance:
@@ -147,7 +147,7 @@ class LearntParameters:
             parts.append(T @ np.swapaxes(T, -1, -2))
         slopes = np.tensordot(self.errors.T, np.array(parts).reshape(len(parts), *plain.shape), 1)
         if self.alike is not None:
-            slopes[-1] = rows_times(R, self.alike[1]) @ turned
+            slopes[-1] = rows_times(R, self.alike.slope) @ turned
         added = rows_times(R, self.gained) @ turned
         return LearntCovariance(plain + added, plain, slopes)
 
