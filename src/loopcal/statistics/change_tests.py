@@ -71,6 +71,9 @@ _SAME = 1e-6
 # Chosen, not derived: a few thousand times the rounding of a unit column.
 _ROUNDING = 1e-12
 """Information along a direction of columns of length 1 that is rounding."""
+# Chosen, not derived: arms carry a few times what they were calibrated with.
+_HEAVY = 3.0
+"""Another load in units of the learnt sag."""
 # As in `change_points`: a factor of e^7, about 1000, in the likelihood; chosen, not derived.
 _ALIKE = 14.0
 """An alternative explains the change about as well if its innovation and the price of its parts are
@@ -93,7 +96,7 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
     """
     if linear.innovation().p_value is None:
         return None
-    causes = _Causes.of(linear.placement)
+    causes = _Causes.of(day, linear)
     begun = system = _System.of(day, causes, linear, np.zeros(len(causes.owner)))
     chosen: tuple[int, ...] = ()
     p_values: dict[int, float] = {}
@@ -160,15 +163,17 @@ class _Causes:
     units: NDArray[np.str_]
 
     @classmethod
-    def of(cls, placement: Replaced) -> _Causes:
+    def of(cls, day: Day, linear: Linearised) -> _Causes:
         """Without what is placed anew."""
-        problem = placement.problem
+        placement, problem = linear.placement, linear.placement.problem
         anew = dict(zip(problem.mechanism.parameters.names, placement.anew, strict=True))
         causes = []
         for one in possible(problem, BETWEEN_DAYS):
             held = tuple(n for n in one.names if not anew.get(n))
             if held and (held == one.names or not one.parts):
-                causes.append(replace(one, names=held))
+                one = replace(one, names=held)
+                many = one.kind == "load" and len(held) > 1
+                causes.append(_as_learnt(one, day, linear) if many else one)
         directions = [(i, d) for i, one in enumerate(causes) for d in one.directions]
         names = tuple(dict.fromkeys(n for _, d in directions for n in d))
         W = np.zeros((len(names), len(directions)))
@@ -581,6 +586,26 @@ class _System:
                 one = replace(one, p_value=p, smallest=self.smallest(i))
             tested.append(one)
         return tuple(tested)
+
+
+def _as_learnt(load: Possible, day: Day, linear: Linearised) -> Possible:
+    """A load without mass in the directions that these poses show.
+
+    Each column of the sag has changed by about its learnt sd. Of these independent changes the
+    parts are the principal ones that a heavy load lifts out of the noise: as single columns, of
+    which most do next to nothing, it costs so much that a scale is named in its place.
+    """
+    placement, names = linear.placement, linear.placement.problem.mechanism.parameters.names
+    learnt = day.calibrated.prior_sd[[names.index(n) for n in load.names]]
+    if not np.isfinite(learnt).all():
+        return load
+    U = placement.columns(load.names) * learnt / np.sqrt(linear.factor)
+    U = U - linear.F @ (linear.solve @ U)
+    information, V = np.linalg.eigh(linear.weighed(U, U))
+    seen = information > min(1.0 / _HEAVY**2, 0.5 * information[-1])
+    steps = (learnt[:, None] * V[:, seen]).T.tolist()
+    parts = tuple(tuple(zip(load.names, step, strict=True)) for step in steps)
+    return replace(load, parts=parts, units=("1",) * len(parts))
 
 
 def _groups(causes: _Causes, alike: Array, visible: NDArray[np.bool_]) -> NDArray[np.intp]:
