@@ -71,9 +71,6 @@ _SAME = 1e-6
 # Chosen, not derived: a few thousand times the rounding of a unit column.
 _ROUNDING = 1e-12
 """Information along a direction of columns of length 1 that is rounding."""
-# Chosen, not derived: arms carry a few times what they were calibrated with.
-_HEAVY = 3.0
-"""Another load in units of the learnt sag."""
 # As in `change_points`: a factor of e^7, about 1000, in the likelihood; chosen, not derived.
 _ALIKE = 14.0
 """An alternative explains the change about as well if its innovation and the price of its parts are
@@ -98,11 +95,14 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
         return None
     causes = _Causes.of(day, linear)
     begun = system = _System.of(day, causes, linear, np.zeros(len(causes.owner)))
+    # What an unsound model lacks is as large in other poses, and looks like changes there.
+    expected = changed.LARGER**2 * (len(linear.e) - linear.rank)
+    sought = 0 if day.calibrated.rejected and begun.present < expected else changed.SOUGHT
     chosen: tuple[int, ...] = ()
     p_values: dict[int, float] = {}
     rivals: dict[int, tuple[int, ...]] = {}
     given_up: set[int] = set()  # what was given up is not tried again: the search ends
-    while len(chosen) < changed.SOUGHT:
+    while len(chosen) < sought:
         tests = {i: p for i, p in system.tests(chosen).items() if i not in given_up}
         if not (likely := [i for i, p in tests.items() if p < LEVEL]):  # the likeliest first
             break
@@ -134,7 +134,7 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
         if alone.present < _HALVED * begun.present:
             chosen, system, left = chosen[:1], alone, alone.innovation(chosen[:1]).p_value
     changes = system.changes(chosen, p_values, rivals)
-    verdict = changed.verdict_of(whole.p_value, changes, left)
+    verdict = changed.verdict_of(whole.p_value, changes, left) if sought else "unchanged"
     moved = causes.changes(system.t)
     what = WhatChanged(verdict, changes, begun.tested(), whole, begun.spread, left, moved)
     return Explained(what, system.linear, system.columns(chosen))
@@ -602,7 +602,7 @@ def _as_learnt(load: Possible, day: Day, linear: Linearised) -> Possible:
     U = placement.columns(load.names) * learnt / np.sqrt(linear.factor)
     U = U - linear.F @ (linear.solve @ U)
     information, V = np.linalg.eigh(linear.weighed(U, U))
-    seen = information > min(1.0 / _HEAVY**2, 0.5 * information[-1])
+    seen = information > min(1.0 / changed.HEAVY**2, 0.5 * information[-1])
     steps = (learnt[:, None] * V[:, seen]).T.tolist()
     parts = tuple(tuple(zip(load.names, step, strict=True)) for step in steps)
     return replace(load, parts=parts, units=("1",) * len(parts))
