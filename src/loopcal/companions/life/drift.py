@@ -14,6 +14,7 @@ of its way, which bends.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -225,9 +226,12 @@ class Drifting:
     def _loaded(self) -> dict[str, float]:
         """The same of what another load changes."""
         mechanism, prior_sd = self.calibrated.mechanism, self.calibrated.prior_sd
-        names = () if mechanism.structure is None else mechanism.structure.loaded
-        order = mechanism.parameters.names
-        return {name: HEAVY * float(prior_sd[order.index(name)]) for name in names}
+        sds = dict[str, float]()
+        for name in () if mechanism.structure is None else mechanism.structure.loaded:
+            learnt = HEAVY * float(prior_sd[mechanism.parameters.names.index(name)])
+            usual = _ALLOWED * shift_sd(mechanism.parameters[name].unit)
+            sds[name] = learnt if math.isfinite(learnt) else usual
+        return sds
 
     def _placed(self, moved: Mapping[str, float]) -> dict[str, float]:
         """Sds [SI] of all places that moved: what was shifted was turned as well, and several
