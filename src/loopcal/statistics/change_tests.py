@@ -42,7 +42,7 @@ from loopcal.statistics.another_day import Day
 from loopcal.statistics.changed import LEVEL, PLACED, POWER, Candidate, Change, WhatChanged
 from loopcal.statistics.estimated import Estimated
 from loopcal.statistics.innovation import Innovation, Linearised
-from loopcal.statistics.possible_changes import BETWEEN_DAYS, Possible, possible, sd_of
+from loopcal.statistics.possible_changes import BETWEEN_DAYS, Possible, as_learnt, possible, sd_of
 from loopcal.statistics.replacing import ASTRAY, Replaced
 
 # Chosen, not derived: a cap, and a step that changes no p-value.
@@ -172,8 +172,7 @@ class _Causes:
             held = tuple(n for n in one.names if not anew.get(n))
             if held and (held == one.names or not one.parts):
                 one = replace(one, names=held)
-                many = one.kind == "load" and len(held) > 1
-                causes.append(_as_learnt(one, day, linear) if many else one)
+                causes.append(as_learnt(one, day.calibrated.prior_sd, linear))
         directions = [(i, d) for i, one in enumerate(causes) for d in one.directions]
         names = tuple(dict.fromkeys(n for _, d in directions for n in d))
         W = np.zeros((len(names), len(directions)))
@@ -586,26 +585,6 @@ class _System:
                 one = replace(one, p_value=p, smallest=self.smallest(i))
             tested.append(one)
         return tuple(tested)
-
-
-def _as_learnt(load: Possible, day: Day, linear: Linearised) -> Possible:
-    """A load without mass in the directions that these poses show.
-
-    Each column of the sag has changed by about its learnt sd. Of these independent changes the
-    parts are the principal ones that a heavy load lifts out of the noise: as single columns, of
-    which most do next to nothing, it costs so much that a scale is named in its place.
-    """
-    placement, names = linear.placement, linear.placement.problem.mechanism.parameters.names
-    learnt = day.calibrated.prior_sd[[names.index(n) for n in load.names]]
-    if not np.isfinite(learnt).all():
-        return load
-    U = placement.columns(load.names) * learnt / np.sqrt(linear.factor)
-    U = U - linear.F @ (linear.solve @ U)
-    information, V = np.linalg.eigh(linear.weighed(U, U))
-    seen = information > min(1.0 / changed.HEAVY**2, 0.5 * information[-1])
-    steps = (learnt[:, None] * V[:, seen]).T.tolist()
-    parts = tuple(tuple(zip(load.names, step, strict=True)) for step in steps)
-    return replace(load, parts=parts, units=("1",) * len(parts))
 
 
 def _groups(causes: _Causes, alike: Array, visible: NDArray[np.bool_]) -> NDArray[np.intp]:

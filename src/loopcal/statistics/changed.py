@@ -50,11 +50,8 @@ _WORDS = {
 }
 DRIFT_OR_CHANGE = "drift-or-change"
 """The verdict where a drift of the instrument along the run explains the changes."""
-CONDITIONS = ("load", "expansion")
+CONDITIONAL = ("load", "expansion")
 """Kinds of changes of what a machine is used under, not of itself."""
-# Chosen, not derived: arms carry a few times what they were calibrated with.
-HEAVY = 3.0
-"""Another load, in units of the learnt sag."""
 _OF_IMAGES = {"lens", "print"}
 """Kinds of changes of a camera and of what it sees."""
 PLACED = ("mounting", "camera")
@@ -148,7 +145,7 @@ class Change:
     @property
     def conditional(self) -> bool:
         """Whether what the machine is used under explains the change."""
-        return not self.kinds.isdisjoint(CONDITIONS)
+        return not self.kinds.isdisjoint(CONDITIONAL)
 
     @property
     def where(self) -> str:
@@ -185,7 +182,7 @@ class Change:
     @property
     def among(self) -> str:
         """The change in words, with the others that explain it and ask for another remedy."""
-        names = [one.words for one in self.alike if one.kind in (*_VERBS, *CONDITIONS)]
+        names = [one.words for one in self.alike if one.kind in (*_VERBS, *CONDITIONAL)]
         more = len(names) - _MOST_NAMED
         names = names[:_MOST_NAMED] + ([f"one of {more} more"] if more > 0 else [])
         *others, last = names or [""]
@@ -252,7 +249,7 @@ class WhatChanged:
                 return "re-master-slides"
             return "re-master" if alone else "re-master-first"
         kinds = {change.kind for change in self.found}
-        if len(kinds) == 1 and not kinds.isdisjoint(CONDITIONS):
+        if len(kinds) == 1 and not kinds.isdisjoint(CONDITIONAL):
             return f"{kinds.pop()}-changed"
         if self.found and mounted:
             return "camera-moved" if kinds == {"camera"} else "mounting-changed"

@@ -38,10 +38,9 @@ from loopcal.mechanisms.structure.structured import driven_joints
 from loopcal.mechanisms.terms import Term
 from loopcal.statistics.another_day import Day, day_problem
 from loopcal.statistics.calibrated import Calibrated
-from loopcal.statistics.changed import CONDITIONS as CONDITIONAL
-from loopcal.statistics.changed import HEAVY, LEVEL, PLACED, Change
+from loopcal.statistics.changed import CONDITIONAL, LEVEL, PLACED, Change
 from loopcal.statistics.innovation import Linearised
-from loopcal.statistics.possible_changes import EXPANSION
+from loopcal.statistics.possible_changes import EXPANSION, HEAVY
 from loopcal.statistics.predictive import unmeasured_corrections
 from loopcal.statistics.verification import verified
 from loopcal.statistics.verified import Verification
