@@ -65,3 +65,15 @@ def test_what_a_model_lacks_is_no_change(seed: int) -> None:
     found = lc.verify(rigid, carrying(joints(150, seed), seed, 1.0))
     assert found.changes is not None
     assert found.changes.found == ()
+
+
+@pytest.mark.parametrize("seed", [28, 30, 34])
+def test_a_change_that_leaves_most_of_a_misfit_is_not_named(seed: int) -> None:
+    """An arm that was calibrated without a load has learnt no sag: a scale, or a length, was named
+    for less than half of what another load does.
+    """
+    bare = lc.calibrate(ARM, carrying(joints(60, 3), 3, 0.0), method="auto")
+    found = lc.verify(bare, carrying(joints(30, seed), seed, 0.5))
+    assert found.changes is not None
+    assert found.changes.found == ()
+    assert found.verdict["consistent"].passed is False

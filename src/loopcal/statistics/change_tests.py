@@ -125,7 +125,8 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
             chosen, system = kept, system.settled(kept)
             apart = {j: system.tests([i for i in kept if i != j]) for j in kept}
             p_values |= {j: tests[j] for j, tests in apart.items() if j in tests}
-    if system.astray and system.present > _EXPLAINED * begun.present:
+    halved = _HALVED if begun.spread > changed.LARGER**2 else np.inf
+    if system.present > (_EXPLAINED if system.astray else halved) * begun.present:
         chosen, system = (), begun
     whole, left = begun.innovation(()), system.innovation(chosen).p_value
     if [causes.causes[i].kind for i in chosen[:1]] == ["delay"] and (left or 0.0) < LEVEL:
