@@ -42,7 +42,7 @@ from loopcal.statistics.another_day import Day
 from loopcal.statistics.changed import LEVEL, PLACED, POWER, Candidate, Change, WhatChanged
 from loopcal.statistics.estimated import Estimated
 from loopcal.statistics.innovation import Innovation, Linearised
-from loopcal.statistics.possible_changes import BETWEEN_DAYS, Possible, possible, sd_of
+from loopcal.statistics.possible_changes import BETWEEN_DAYS, Possible, as_learnt, possible, sd_of
 from loopcal.statistics.replacing import ASTRAY, Replaced
 
 # Chosen, not derived: a cap, and a step that changes no p-value.
@@ -93,13 +93,16 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
     """
     if linear.innovation().p_value is None:
         return None
-    causes = _Causes.of(linear.placement)
+    causes = _Causes.of(day, linear)
     begun = system = _System.of(day, causes, linear, np.zeros(len(causes.owner)))
+    # What an unsound model lacks is as large in other poses, and looks like changes there.
+    expected = changed.LARGER**2 * (len(linear.e) - linear.rank)
+    sought = 0 if day.calibrated.rejected and begun.present < expected else changed.SOUGHT
     chosen: tuple[int, ...] = ()
     p_values: dict[int, float] = {}
     rivals: dict[int, tuple[int, ...]] = {}
     given_up: set[int] = set()  # what was given up is not tried again: the search ends
-    while len(chosen) < changed.SOUGHT:
+    while len(chosen) < sought:
         tests = {i: p for i, p in system.tests(chosen).items() if i not in given_up}
         if not (likely := [i for i, p in tests.items() if p < LEVEL]):  # the likeliest first
             break
@@ -122,7 +125,8 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
             chosen, system = kept, system.settled(kept)
             apart = {j: system.tests([i for i in kept if i != j]) for j in kept}
             p_values |= {j: tests[j] for j, tests in apart.items() if j in tests}
-    if system.astray and system.present > _EXPLAINED * begun.present:
+    halved = _HALVED if begun.spread > changed.LARGER**2 else np.inf
+    if system.present > (_EXPLAINED if system.astray else halved) * begun.present:
         chosen, system = (), begun
     whole, left = begun.innovation(()), system.innovation(chosen).p_value
     if [causes.causes[i].kind for i in chosen[:1]] == ["delay"] and (left or 0.0) < LEVEL:
@@ -131,7 +135,7 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
         if alone.present < _HALVED * begun.present:
             chosen, system, left = chosen[:1], alone, alone.innovation(chosen[:1]).p_value
     changes = system.changes(chosen, p_values, rivals)
-    verdict = changed.verdict_of(whole.p_value, changes, left)
+    verdict = changed.verdict_of(whole.p_value, changes, left) if sought else "unchanged"
     moved = causes.changes(system.t)
     what = WhatChanged(verdict, changes, begun.tested(), whole, begun.spread, left, moved)
     return Explained(what, system.linear, system.columns(chosen))
@@ -160,15 +164,16 @@ class _Causes:
     units: NDArray[np.str_]
 
     @classmethod
-    def of(cls, placement: Replaced) -> _Causes:
+    def of(cls, day: Day, linear: Linearised) -> _Causes:
         """Without what is placed anew."""
-        problem = placement.problem
+        placement, problem = linear.placement, linear.placement.problem
         anew = dict(zip(problem.mechanism.parameters.names, placement.anew, strict=True))
         causes = []
         for one in possible(problem, BETWEEN_DAYS):
             held = tuple(n for n in one.names if not anew.get(n))
             if held and (held == one.names or not one.parts):
-                causes.append(replace(one, names=held))
+                one = replace(one, names=held)
+                causes.append(as_learnt(one, day.calibrated.prior_sd, linear))
         directions = [(i, d) for i, one in enumerate(causes) for d in one.directions]
         names = tuple(dict.fromkeys(n for _, d in directions for n in d))
         W = np.zeros((len(names), len(directions)))

@@ -27,6 +27,9 @@ LEVEL = 0.015
 """p-value of either test, of the whole and of single changes. With the searches of the run for
 slips and for poses that do not fit, at 1 % each, together 5 %."""
 # Record 0053.
+LARGER = 1.5
+"""Error over what is expected from which on a machine is not as calibrated."""
+# Record 0053.
 SOUGHT = 3
 """Changes that are sought; with more the machine is calibrated anew."""
 # Chosen, not derived: the usual power of a statement on what is missed.
@@ -47,7 +50,7 @@ _WORDS = {
 }
 DRIFT_OR_CHANGE = "drift-or-change"
 """The verdict where a drift of the instrument along the run explains the changes."""
-_CONDITIONS = ("load", "expansion")
+CONDITIONAL = ("load", "expansion")
 """Kinds of changes of what a machine is used under, not of itself."""
 _OF_IMAGES = {"lens", "print"}
 """Kinds of changes of a camera and of what it sees."""
@@ -132,13 +135,17 @@ class Change:
     @property
     def mounted(self) -> bool:
         """Whether something that was mounted anew explains the change."""
-        return not {*PLACED}.isdisjoint({self.kind, *(other.kind for other in self.alike)})
+        return not self.kinds.isdisjoint(PLACED)
+
+    @property
+    def kinds(self) -> frozenset[str]:
+        """The kinds of all that explains the change."""
+        return frozenset({self.kind, *(other.kind for other in self.alike)})
 
     @property
     def conditional(self) -> bool:
         """Whether what the machine is used under explains the change."""
-        kinds = {self.kind, *(other.kind for other in self.alike)}
-        return not kinds.isdisjoint(_CONDITIONS)
+        return not self.kinds.isdisjoint(CONDITIONAL)
 
     @property
     def where(self) -> str:
@@ -175,7 +182,7 @@ class Change:
     @property
     def among(self) -> str:
         """The change in words, with the others that explain it and ask for another remedy."""
-        names = [one.words for one in self.alike if one.kind in (*_VERBS, *_CONDITIONS)]
+        names = [one.words for one in self.alike if one.kind in (*_VERBS, *CONDITIONAL)]
         more = len(names) - _MOST_NAMED
         names = names[:_MOST_NAMED] + ([f"one of {more} more"] if more > 0 else [])
         *others, last = names or [""]
@@ -242,7 +249,7 @@ class WhatChanged:
                 return "re-master-slides"
             return "re-master" if alone else "re-master-first"
         kinds = {change.kind for change in self.found}
-        if len(kinds) == 1 and not kinds.isdisjoint(_CONDITIONS):
+        if len(kinds) == 1 and not kinds.isdisjoint(CONDITIONAL):
             return f"{kinds.pop()}-changed"
         if self.found and mounted:
             return "camera-moved" if kinds == {"camera"} else "mounting-changed"

@@ -25,17 +25,15 @@ from loopcal.document.verdict import (
 from loopcal.lazy import cached_property
 from loopcal.presentation.brief import brief
 from loopcal.presentation.shown import Table, by_sd, p_words, significant, size, unit_shown
-from loopcal.statistics.changed import LEVEL, WhatChanged
+from loopcal.statistics.changed import LARGER, LEVEL, WhatChanged
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.innovation import Innovation
 from loopcal.statistics.other_conditions import MEASURE
 from loopcal.statistics.sound import along_the_run
 from loopcal.statistics.verdict import Quantile, kept
 
-# Record 0053.
-LARGER = 1.5
-"""Error over what is expected from which on a machine is not as calibrated."""
 MOVED = "moved-in-run"
+_OR_ELSE = ", or else it is an error that the machine model lacks"
 _AGAINST = (MOVED, "errors-larger", "misfit-larger")
 _QUESTIONS: tuple[Question, ...] = ("consistent", "better", "tolerance")
 
@@ -141,6 +139,8 @@ class Verification:
     def _changed(self, changes: WhatChanged) -> Fact:
         place = Where(parameters=tuple(change.name for change in changes.found))
         words = "; ".join(change.among for change in changes.found) or self._statistic()
+        if changes.found and self.sound is not None and self.sound.code == "sds-too-small":
+            words += _OR_ELSE
         whole = 0.0 if self.innovation.p_value is None else self.innovation.p_value
         p_value = min(whole, *(change.p_value for change in changes.found), 1.0)
         return fact(

@@ -14,6 +14,7 @@ of its way, which bends.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -37,9 +38,9 @@ from loopcal.mechanisms.structure.structured import driven_joints
 from loopcal.mechanisms.terms import Term
 from loopcal.statistics.another_day import Day, day_problem
 from loopcal.statistics.calibrated import Calibrated
-from loopcal.statistics.changed import LEVEL, PLACED, Change
+from loopcal.statistics.changed import CONDITIONAL, LEVEL, PLACED, Change
 from loopcal.statistics.innovation import Linearised
-from loopcal.statistics.possible_changes import EXPANSION
+from loopcal.statistics.possible_changes import EXPANSION, HEAVY
 from loopcal.statistics.predictive import unmeasured_corrections
 from loopcal.statistics.verification import verified
 from loopcal.statistics.verified import Verification
@@ -211,11 +212,25 @@ class Drifting:
                     continue
             if change.kind == "expansion" and _TOOLS in self._steps:
                 sds[_TOOLS] = abs(change.value)
+            if "load" in change.kinds:
+                sds |= self._loaded
             for cause in causes_of(change):
-                other = change.kind != "zero" and cause in change.zeros
-                size = shift_sd(mechanism.quantities[cause]) if other else abs(change.value)
+                other = cause != change.name and cause not in change.parts
+                unit = mechanism.quantities.get(cause, "1")
+                size = shift_sd(unit) if other else abs(change.value)
                 sds[self._zeros.get(cause, cause)] = _ALLOWED * size
         return sds if sds.keys() <= self._steps.keys() else {}
+
+    @property
+    def _loaded(self) -> dict[str, float]:
+        """The same of what another load changes."""
+        mechanism, prior_sd = self.calibrated.mechanism, self.calibrated.prior_sd
+        sds = dict[str, float]()
+        for name in () if mechanism.structure is None else mechanism.structure.loaded:
+            learnt = HEAVY * float(prior_sd[mechanism.parameters.names.index(name)])
+            usual = _ALLOWED * shift_sd(mechanism.parameters[name].unit)
+            sds[name] = learnt if math.isfinite(learnt) else usual
+        return sds
 
     def _placed(self, moved: Mapping[str, float]) -> dict[str, float]:
         """Sds [SI] of all places that moved: what was shifted was turned as well, and several
@@ -317,21 +332,29 @@ class Drifting:
 
 
 def causes_of(change: Change) -> tuple[str, ...]:
-    """What an update estimates of a change: joints whose zero explains it, else what was named.
+    """What an update estimates of a change, but for a load: joints whose zero explains it, else
+    what was named, and growth where that explains it as well.
 
     A joint's zero moves more easily than its other parameters change.
     """
+    grown = (EXPANSION,) if "expansion" in change.kinds else ()
     if change.kind == "zero":
-        return (change.name,)
-    return change.zeros or (*change.parts, *change.hidden) or (change.name,)
+        return (change.name, *grown)
+    named = () if change.kind in CONDITIONAL else (*change.parts, *change.hidden) or (change.name,)
+    return (*(change.zeros or named), *grown)
 
 
 def followed_words(change: Change) -> str:
     """That an update follows this change, in two sentences."""
-    joints = " and ".join(causes_of(change)) if change.zeros else ""
-    what = f"the zero of {joints}" if joints else change.name
-    other = f", or {what} moved" if joints and change.kind != "zero" else ""
-    warm = _WARM if what == EXPANSION else ""
+    causes = causes_of(change)
+    joints = " and ".join(name for name in causes if name in change.zeros)
+    every = [f"the zero of {joints}"] if joints else []
+    every += ["the load"] if "load" in change.kinds else []
+    every += [EXPANSION] if EXPANSION in causes else []
+    what = " and ".join(every) or change.name
+    others = [one for one in every if one != change.where]
+    other = f", or {' or '.join(others)} did" if others else ""
+    warm = _WARM if EXPANSION in causes else ""
     return f"Since the calibration, {change.words}{other}. The update estimates {what} anew.{warm}"
 
 

@@ -1,0 +1,79 @@
+"""Another load on an arm without stated masses, and a model that lacks the sag."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import loopcal as lc
+from tests.statistics.test_change_points import ARM, NOISE, Array, joints
+
+GIVING = lc.structured(ARM, harmonics=False)
+SAG = {"sag": 8e-4, "sag_across": 1.5e-4}
+"""Sds of what the load bends about the joints' axes and across them [rad/m]."""
+
+
+def carrying(where: dict[str, Array], seed: int, times: float) -> lc.Dataset:
+    """Readings of an arm that carries so many times its load, and gives way under it."""
+    rng = np.random.default_rng(0)
+    loaded = {
+        p.name: (SAG["sag"] if p.name in about() else SAG["sag_across"]) * rng.standard_normal()
+        for p in GIVING.parameters
+        if "_sag_" in p.name and p.name.endswith("_tool")
+    }
+    truth = {p.name: p.nominal + times * loaded.get(p.name, 0.0) for p in GIVING.parameters}
+    return lc.simulate(GIVING, where, noise=NOISE, seed=seed, truth=truth).dataset
+
+
+def about() -> tuple[str, ...]:
+    """The columns about the joints' axes."""
+    (term,) = (term for term in GIVING.terms if term.name == "sag")
+    return term.parameters
+
+
+@pytest.fixture(scope="module")
+def first() -> lc.Result:
+    return lc.calibrate(ARM, carrying(joints(60, 3), 3, 1.0), method="auto")
+
+
+@pytest.mark.parametrize("seed", range(21, 26))
+def test_a_load_is_among_what_is_named(first: lc.Result, seed: int) -> None:
+    """The arm has 17 such columns: a scale alone was named in four of these five."""
+    found = lc.verify(first, carrying(joints(8, seed), seed, 1.5))
+    assert found.changes is not None
+    assert found.verdict["consistent"].passed is False
+    assert all("load" in change.kinds for change in found.changes.found)
+
+
+@pytest.mark.parametrize("seed", range(21, 26))
+def test_an_update_follows_all_that_may_have_changed(first: lc.Result, seed: int) -> None:
+    """It followed the scale, was hardly better than no update, and said to be sure."""
+    day, fresh = carrying(joints(8, seed), seed, 1.5), carrying(joints(100, 99), 99, 1.5)
+    updated = lc.update(first, day)
+    predicted = lc.predict(updated, lc.Dataset.from_arrays(joints(100, 99)))
+    errors = np.array([predicted.outputs[q] - fresh[q] for q in "xyz"])
+    stated = np.array([predicted.sd[q] for q in "xyz"])
+    assert np.sqrt(np.mean(errors**2)) < 1.5 * np.sqrt(np.mean(stated**2))
+
+
+@pytest.mark.parametrize("seed", [42, 46, 48])
+def test_what_a_model_lacks_is_no_change(seed: int) -> None:
+    """Of a rigid model and stated sds: each of these days was named a delay of the poses."""
+    day = carrying(joints(60, 3), 3, 1.0)
+    rigid = lc.calibrate(ARM, day, noise=NOISE, method="implicit-loop")
+    assert lc.verdict(rigid).answers["sound"].passed is False
+    found = lc.verify(rigid, carrying(joints(150, seed), seed, 1.0))
+    assert found.changes is not None
+    assert found.changes.found == ()
+
+
+@pytest.mark.parametrize("seed", [28, 30, 34])
+def test_a_change_that_leaves_most_of_a_misfit_is_not_named(seed: int) -> None:
+    """An arm that was calibrated without a load has learnt no sag: a scale, or a length, was named
+    for less than half of what another load does.
+    """
+    bare = lc.calibrate(ARM, carrying(joints(60, 3), 3, 0.0), method="auto")
+    found = lc.verify(bare, carrying(joints(30, seed), seed, 0.5))
+    assert found.changes is not None
+    assert found.changes.found == ()
+    assert found.verdict["consistent"].passed is False
