@@ -169,6 +169,24 @@ def test_exact_readings_are_taken_only_where_they_predict_much_better(
     assert _taken(judged, risks, plan).name == taken
 
 
+@pytest.mark.parametrize(("scatter", "taken"), [(0.7, "implicit-loop"), (0.3, "least-squares")])
+def test_of_few_poses_a_small_gain_does_not_make_readings_exact(scatter: float, taken: str) -> None:
+    """scatter: of the gain of exact readings over poses; the mean gain is the same."""
+    rng, data = np.random.default_rng(3), noisy()
+    names = "implicit-loop", "least-squares"
+    cases = [Case(ARM.truth, data, None, lc.Fit(method=name)) for name in names]
+    judged = [Judged(Entrant(n, case), None) for n, case in zip(names, cases, strict=True)]
+    plan: Any = SimpleNamespace(groups=np.arange(15), blocked=None)
+    gain = rng.standard_normal(15)
+    gain = 0.45 + scatter * (gain - gain.mean()) / gain.std()
+    risks = {"implicit-loop": np.array([np.full(15, 4.0), np.full(15, np.nan)])}
+    risks["least-squares"] = risks["implicit-loop"] - gain
+    found = Gain.in_rms(risks["implicit-loop"][0], risks["least-squares"][0], plan.groups)
+    assert found is not None
+    assert found.difference < -2.2 * found.sd
+    assert _taken(judged, risks, plan).name == taken
+
+
 def test_a_gain_counts_clusters_not_poses() -> None:
     """Errors shared by a cluster: its standard error is that of as many values as clusters."""
     rng = np.random.default_rng(0)

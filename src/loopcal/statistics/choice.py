@@ -18,7 +18,7 @@ are poses. Against a structured candidate both must be significant, because pose
 cannot show what its prior is good for elsewhere; between plain methods one is enough. What another
 beats by the rule of the verdict (`loopcal.document.choice.beats`) is never taken. Where poses are
 too few for regions, only terms leave that the readings contradict, and no significance replaces a
-structured candidate (record 0158).
+structured candidate, or one that weighs all readings by one that takes some as exact (record 0158).
 """
 
 from __future__ import annotations
@@ -511,10 +511,12 @@ def _taken(judged: Sequence[Judged], risks: Mapping[str, Array], plan: Plan) -> 
         return mean_risk(risks[one.name])
 
     structured = [one for one in judged if one.entrant.structured]
-    uncertain = [one for one in structured if not one.entrant.case.fit.method.exact]
+    uncertain = [one for one in structured if one.weighs]
     preferred = min(uncertain or structured, key=score) if structured else judged[0]
     enough, least = all if structured else any, risks[preferred.name]
-    rivals = judged if plan.blocked is not None or not structured else ()
+    rivals = judged
+    if plan.blocked is None:  # too few poses to show that exact readings say enough
+        rivals = [] if structured else [one for one in judged if one.entrant.drawn or one.weighs]
     better = [one for one in rivals if significantly_better(risks[one.name], least, plan, enough)]
     taken = min(better, key=score) if better else preferred
     # Each round lowers the rms on common poses. The bound ends a cycle of candidates that failed

@@ -45,6 +45,11 @@ class Judged:
         """As the reader knows it."""
         return self.entrant.name
 
+    @property
+    def weighs(self) -> bool:
+        """Whether its method takes no reading as exact."""
+        return not self.entrant.case.fit.method.exact
+
 
 def begun(one: Entrant, whole: FitResult | None) -> Entrant:
     """A further candidate, for which no fault of the file is sought.
