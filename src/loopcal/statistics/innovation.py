@@ -31,7 +31,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.arrays import Array
+from loopcal.arrays import Array, svd
 from loopcal.document.fit import NoiseEntry
 from loopcal.lazy import cached_property
 from loopcal.small_samples import f_tail
@@ -124,7 +124,7 @@ class Linearised:
         # Columns of length 1: the cut on s is then free of their units.
         scale = np.linalg.norm(F, axis=0)
         scale = np.where(scale > 0.0, scale, 1.0)
-        U, s, Vt = np.linalg.svd(F / scale, full_matrices=False)
+        U, s, Vt = svd(F / scale)
         kept = s > DETERMINED * s.max(initial=0.0)
         solve = (Vt[kept].T / s[kept]) @ U[:, kept].T / scale[:, None]
         A, rank, noise = J @ root, int(kept.sum()), _noise_freedom(calibrated, placement)
@@ -149,8 +149,7 @@ class Linearised:
     @cached_property
     def _axes(self) -> tuple[Array, Array, Array]:
         """U (R, k), s (k,), V^T (k, r) of A = U s V^T: the axes of S = 1 + A A^T."""
-        U, s, Vt = np.linalg.svd(self._spread, full_matrices=False)
-        return U, s, Vt
+        return svd(self._spread)
 
     def _halved(self, a: Array) -> Array:
         """S^-1/2 a, so that squares of large columns that A explains stay positive."""

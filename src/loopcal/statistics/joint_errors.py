@@ -26,7 +26,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from loopcal.arrays import Array
+from loopcal.arrays import Array, span
 from loopcal.estimation.dependence.dependence import joint_rows
 from loopcal.statistics.innovation import Linearised
 
@@ -51,10 +51,7 @@ class JointErrors:
     def of(cls, linear: Linearised, changes: Array) -> JointErrors | None:
         """From the equations of a day after changes with these columns (R, m); None where no joint
         turns or is read with noise, nothing is left of the equations, or the share is 0."""
-        X = np.hstack([linear.F, changes])
-        length = np.linalg.norm(X, axis=0)
-        U, s, _ = np.linalg.svd(X / np.where(length > 0.0, length, 1.0), full_matrices=False)
-        Q = U[:, s > _SHOWN * s.max(initial=0.0)]
+        Q = span(np.hstack([linear.F, changes]), _SHOWN)
         count = len(linear.e) - Q.shape[1]
         left, A = (M - Q @ (Q.T @ M) for M in (linear.e, linear.A))
         # In the metric of 1 + A A^T, the inverse of which is 1 - A L^-T L^-1 A^T.

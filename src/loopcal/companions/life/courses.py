@@ -26,7 +26,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.arrays import Array
+from loopcal.arrays import Array, span
 from loopcal.lazy import cached_property
 from loopcal.small_samples import t_quantile
 
@@ -236,9 +236,7 @@ class _Left:
         n = course.said[0].rows.shape[1]
         mean = course.columns(np.ones((len(course), 1)), np.eye(n))
         X = np.hstack([mean, *(one.columns(course) for one in accepted)])
-        length = np.linalg.norm(X, axis=0)
-        U, s, _ = np.linalg.svd(X / np.where(length > 0.0, length, 1.0), full_matrices=False)
-        basis = U[:, s > 1e-10 * s.max(initial=0.0)]
+        basis = span(X, 1e-10)
         return cls(basis, course.y - basis @ (basis.T @ course.y))
 
     @property

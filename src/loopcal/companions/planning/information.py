@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.arrays import Array
+from loopcal.arrays import Array, span
 from loopcal.estimation.cameras.at_board import sight_of
 from loopcal.estimation.problem.pose_equations import pose_equations
 from loopcal.estimation.problem.problem import Problem, Weighting
@@ -172,13 +172,8 @@ def placed_anew(tests: Array, stands: NDArray[np.bool_]) -> Array:
     is left depends on no choice of the base frame. stands: (n,) the parameters of placements.
     """
     flat = tests.reshape(-1, tests.shape[2])
-    P = flat[:, stands]
-    length = np.linalg.norm(P, axis=0)
-    P = P[:, length > 0.0] / length[length > 0.0]
-    if P.size:
-        U, s, _ = np.linalg.svd(P, full_matrices=False)
-        U = U[:, s > _NULL * s.max()]
-        flat = flat - U @ (U.T @ flat)
+    U = span(flat[:, stands], _NULL)
+    flat = flat - U @ (U.T @ flat)
     return np.where(stands, 0.0, flat).reshape(tests.shape)
 
 

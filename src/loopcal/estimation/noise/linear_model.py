@@ -24,7 +24,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.arrays import Array
+from loopcal.arrays import Array, svd
 from loopcal.estimation.problem.problem import Problem, Weighting
 from loopcal.estimation.products import rows_times, rows_times_upper
 from loopcal.estimation.solve.block import Block
@@ -409,7 +409,7 @@ def _by_directions(R: Array) -> _Solved:
     """By the singular values of the triangle, where some directions may not be determined."""
     n = R.shape[1] - 1
     scale = 1.0 / np.maximum(np.linalg.norm(R[:, :n], axis=0), 1e-150)
-    U, values, Vt = np.linalg.svd(R[:, :n] * scale, full_matrices=False)
+    U, values, Vt = svd(R[:, :n] * scale)
     kept = values > KEPT * values[0]
     root = scale[:, None] * Vt[kept].T / values[kept]
     log_volume = 2.0 * float(np.log(values[kept]).sum() - np.log(scale).sum())

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.arrays import Array
+from loopcal.arrays import Array, svd
 from loopcal.estimation.noise.linear_model import KEPT, MixedFit
 from loopcal.estimation.noise.search import Bounds, search
 from loopcal.estimation.solve.reduction import SUMMED_TOLERANCE
@@ -149,7 +149,7 @@ def term_system(
     if sums.triangular:
         R = np.asarray(np.linalg.qr(rows, mode="r") if n else rows)
         scale = 1.0 / np.maximum(np.linalg.norm(R[:n, :n], axis=0), 1e-150)
-        U, values, _ = np.linalg.svd(R[:n, :n] * scale)
+        U, values, _ = svd(R[:n, :n] * scale)
         kept = values > KEPT * values.max(initial=0.0)
         along = U[:, kept].T @ R[:n, n:]
         rest = np.vstack([R[:n, n:] - U[:, kept] @ along, R[n:, n:]])

@@ -16,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.arrays import Array
+from loopcal.arrays import Array, svd
 from loopcal.lazy import cached_property
 from loopcal.presentation.brief import brief
 
@@ -262,7 +262,7 @@ class Stacked:
 
     def directions(self) -> Directions:
         """By a singular value decomposition, which has twice the digits."""
-        U, s, Vt = np.linalg.svd(self.matrix)
+        U, s, Vt = svd(self.matrix)
         kept = _kept(s, RANK_TOLERANCE)
         return Directions(Vt.T, s, np.where(kept, U.T @ self.right, 0.0), kept)
 

@@ -19,7 +19,7 @@ from itertools import product
 
 import numpy as np
 
-from loopcal.arrays import Array
+from loopcal.arrays import span
 from loopcal.errors import InputError
 from loopcal.presentation.shown import with_unit
 from loopcal.units import from_si, unit
@@ -78,7 +78,7 @@ def _further(
     by = np.array([way.joints[other][fit.rows] for _, other in others]).T
     d = np.zeros((len(fit.left), len(others)))
     d[: len(moved)] = moved * np.repeat(by, 3, axis=0)
-    U = _onto(fit.derivatives)
+    U = span(fit.derivatives, 1e-12)
     d -= U @ (U.T @ d)
     squares, along = np.square(d).sum(axis=0), d.T @ fit.left
     k = np.divide(along, squares, out=np.zeros_like(along), where=squares > 1e-12 * squares.max())
@@ -93,14 +93,8 @@ def _giving_way(fit: Refined) -> float:
     moments = np.einsum("nai,nci->naic", J, J).reshape(len(fit.by_joints), -1)
     columns = np.zeros((len(fit.left), moments.shape[1]))
     columns[: len(moments)] = moments
-    U = _onto(np.column_stack([fit.derivatives, columns]))
+    U = span(np.column_stack([fit.derivatives, columns]), 1e-12)
     return float(np.linalg.norm(fit.left - U @ (U.T @ fit.left)) / np.linalg.norm(fit.left))
-
-
-def _onto(A: Array) -> Array:
-    """Orthonormal columns that span those of A."""
-    U, s, _ = np.linalg.svd(A / np.maximum(np.linalg.norm(A, axis=0), 1e-300), full_matrices=False)
-    return np.asarray(U[:, s > 1e-12 * s[0]])
 
 
 def _refusal(
