@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 def svd(A: Array) -> tuple[Array, Array, Array]:
     """U (m, k), s (k,), V^T (k, n) of A = U diag(s) V^T, (m, n), k the smaller of m and n.
 
-    Divide and conquer, which NumPy uses, does not end for some matrices of full numbers whose
+    Divide and conquer, which NumPy uses, does not end for some finite matrices whose
     smallest singular values are rounding. Iteration by QR then does (Golub and Reinsch 1970).
 
     Raises LinAlgError for a matrix that holds infinity or NaN.
