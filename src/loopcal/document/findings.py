@@ -334,10 +334,10 @@ class SmoothErrors:
 
     poses: tuple[tuple[float, ...], ...]
     """Of the fit, some of them where there are many: x, y, z [m], qw, qx, qy, qz."""
-    units: tuple[float, float]
-    """Mean squares of distance [m squared] and of turn over all pairs of poses of the fit."""
+    mean_squares: tuple[float, float]
+    """Of distance [m squared] and of turn, over all pairs of poses of the fit."""
     lengths: tuple[float, ...]
-    """Over which errors are alike, in these units."""
+    """Over which errors are alike; a distance or turn of 1 is the root of its mean square."""
     sizes: tuple[float, ...]
     """Of each length the variance, in units of the learnt ones."""
     alone: float

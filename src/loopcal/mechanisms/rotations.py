@@ -52,6 +52,13 @@ def quaternions(R: Array) -> Array:
     return signed
 
 
+def rotations(q: Array) -> Array:
+    """(..., 3, 3): of quaternions (..., 4) of any length, w first: 1 + 2 w [v] + 2 [v]^2."""
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    K = skew(q[..., 1:])
+    return np.asarray(np.eye(3) + 2.0 * q[..., :1, None] * K + 2.0 * (K @ K))
+
+
 def nearest_rotation(M: Array) -> Array:
     """(..., d, d): the rotation R that maximises tr(R^T M), no mirror image (Umeyama 1991)."""
     U, _, Vt = np.linalg.svd(M)

@@ -363,8 +363,8 @@ def _elsewhere(
     smooth, part = calibrated.smooth_errors, calibrated.pose_part
     if smooth is None or part is None:
         return None
-    names, known, o = solved.tape.quantities, [*solved.tape.pose_constants], len(calibrated.units)
-    at = [x[names.index(q)] for q in POSITION] + [constants[known.index(c)] for c in COLUMNS]
+    names, columns, o = solved.tape.quantities, [*solved.tape.pose_constants], len(calibrated.units)
+    at = [x[names.index(q)] for q in POSITION] + [constants[columns.index(c)] for c in COLUMNS]
     by_pose = S.by_reading[:, :o][:, :, [names.index(q) for q in QUANTITIES]]
     by_parameter = S.by_parameter[:, :o]
     added = rows_times(by_parameter, part) @ by_parameter.transpose(0, 2, 1)

@@ -51,10 +51,25 @@ def bent(T: Array, amplitudes: Array) -> Array:
     return off
 
 
-def calibrated(seed: int, smooth: bool) -> Any:
+def robot(seed: int) -> tuple[np.random.Generator, Array, Array]:
+    """Its numbers to draw on, 20 poses and the amplitudes of its errors."""
     random = np.random.default_rng(seed)
-    T = poses(random, 20)
-    uv = images(bent(T, random.standard_normal((6, 6))) if smooth else moved(T, random, SIZE))
+    return random, poses(random, 20), random.standard_normal((6, 6))
+
+
+def missed(prediction: Any, uv: Array) -> tuple[Array, Array]:
+    """Of the first corner of each image: whether its 95 % region holds it, and its square over the
+    expected one."""
+    at = [[*prediction.outputs].index(name) for name in NAMES[:2]]
+    off = np.array([uv[i] - prediction.outputs[NAMES[i]] for i in range(2)]).T
+    C = prediction.covariance[:, at][:, :, at]
+    square = np.einsum("ni,nij,nj->n", off, np.linalg.inv(C), off)
+    return square <= f_limit(0.95, 2, prediction.freedom[:, at[0]]), square / 2.0
+
+
+def calibrated(seed: int, smooth: bool) -> Any:
+    random, T, amplitudes = robot(seed)
+    uv = images(bent(T, amplitudes) if smooth else moved(T, random, SIZE))
     uv += random.normal(0.0, CORNER, uv.shape)
     data = lc.Dataset.from_arrays(stated(T) | dict(zip(NAMES, uv, strict=True)))
     return calibrate(MACHINE, data, noise=NOISE, fit=Fit(method="implicit-loop", start="nominal"))
@@ -87,19 +102,13 @@ def test_regions_hold_the_camera(smooth: bool, least: float, low: float, high: f
 def test_other_images_of_the_same_robot_share_the_error(smooth: bool) -> None:
     inside, squares = [], []
     for seed in range(12):
-        random = np.random.default_rng(seed)
-        poses(random, 20)
-        amplitudes = random.standard_normal((6, 6))  # as in `calibrated`
+        _, _, amplitudes = robot(seed)
         random = np.random.default_rng(1000 + seed)
         T = poses(random, 60)
         uv = images(bent(T, amplitudes) if smooth else moved(T, random, SIZE))
-        stated_by_fit = lc.predict(calibrated(seed, smooth), stated(T))
-        at = [[*stated_by_fit.outputs].index(name) for name in NAMES[:2]]
-        off = np.array([uv[i] - stated_by_fit.outputs[NAMES[i]] for i in range(2)]).T
-        C = stated_by_fit.covariance[:, at][:, :, at]
-        square = np.einsum("ni,nij,nj->n", off, np.linalg.inv(C), off)
-        inside.append(square <= f_limit(0.95, 2, stated_by_fit.freedom[:, at[0]]))
-        squares.append(square / 2.0)
+        held, square = missed(lc.predict(calibrated(seed, smooth), stated(T)), uv)
+        inside.append(held)
+        squares.append(square)
     print(np.mean(inside), np.sqrt(np.mean(squares)))
     assert 0.91 <= np.mean(inside) <= 0.985
     assert 0.85 <= np.sqrt(np.mean(squares)) <= 1.15
@@ -129,9 +138,7 @@ def test_an_unchanged_day_elsewhere_is_as_calibrated() -> None:
     """Without what the fit leaves unknown there: 5 of 8 days are changed."""
     changed = 0
     for seed in range(8):
-        random = np.random.default_rng(seed)
-        poses(random, 20)
-        amplitudes = random.standard_normal((6, 6))  # as in `calibrated`
+        _, _, amplitudes = robot(seed)
         random = np.random.default_rng(3000 + seed)
         T = poses(random, 15)
         T[:, :3, 3] *= 1.6
@@ -152,20 +159,15 @@ def test_images_far_from_those_of_the_fit_are_less_sure(
     """Without what the fit leaves unknown there: 35 and 6 % inside, rms 2.7 and 5.8."""
     inside, squares, extrapolated = [], [], []
     for seed in range(12):
-        random = np.random.default_rng(seed)
-        poses(random, 20)
-        amplitudes = random.standard_normal((6, 6))  # as in `calibrated`
+        _, _, amplitudes = robot(seed)
         random = np.random.default_rng(2000 + seed)
         T = poses(random, 60)
         T[:, :3, 3] *= farther * 0.15 / np.abs(T[:, :3, 3]).max(axis=1, keepdims=True)
         uv = images(bent(T, amplitudes))
         prediction = lc.predict(calibrated(seed, True), stated(T))
-        at = [[*prediction.outputs].index(name) for name in NAMES[:2]]
-        off = np.array([uv[i] - prediction.outputs[NAMES[i]] for i in range(2)]).T
-        C = prediction.covariance[:, at][:, :, at]
-        square = np.einsum("ni,nij,nj->n", off, np.linalg.inv(C), off)
-        inside.append(square <= f_limit(0.95, 2, prediction.freedom[:, at[0]]))
-        squares.append(square / 2.0)
+        held, square = missed(prediction, uv)
+        inside.append(held)
+        squares.append(square)
         extrapolated.append(prediction.extrapolated)
     print(np.mean(inside), np.sqrt(np.mean(squares)), np.mean(extrapolated))
     assert np.mean(inside) >= least

@@ -119,7 +119,7 @@ def pose_errors(
         np.asarray(spread * smooth),
         SmoothErrors(
             tuple(map(tuple, poses.some().rows.tolist())),
-            poses.squares,
+            poses.mean_squares,
             _LENGTHS,
             tuple(sizes),
             alone,

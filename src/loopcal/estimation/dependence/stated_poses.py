@@ -11,6 +11,7 @@ from loopcal.arrays import Array
 from loopcal.document.findings import SmoothErrors
 from loopcal.estimation.problem.problem import Problem
 from loopcal.mechanisms.parallel.free_body import COLUMNS, POSITION, TURNS
+from loopcal.mechanisms.rotations import rotations
 
 QUANTITIES = (*POSITION, *TURNS)
 
@@ -24,11 +25,11 @@ _SOME = 40
 
 @dataclass(frozen=True, eq=False)
 class StatedPoses:
-    """rows (N, 7): x, y, z [m] and the quaternion w, x, y, z; squares: the mean squares of distance
-    and turn over all pairs of the fit."""
+    """rows (N, 7): x, y, z [m] and the quaternion w, x, y, z; mean_squares: of distance and of
+    turn, over all pairs of the fit."""
 
     rows: Array
-    squares: tuple[float, float]
+    mean_squares: tuple[float, float]
 
     @classmethod
     def of(cls, problem: Problem) -> StatedPoses | None:
@@ -47,7 +48,7 @@ class StatedPoses:
             max(pairs * float(v.reshape(len(v), -1).var(axis=0).sum()), 1e-12)
             for v in (bare.p, bare.R)
         )
-        return replace(bare, squares=(distance, turn))
+        return replace(bare, mean_squares=(distance, turn))
 
     @property
     def p(self) -> Array:
@@ -57,15 +58,7 @@ class StatedPoses:
     @property
     def R(self) -> Array:
         """(N, 3, 3)."""
-        w, x, y, z = self.rows[:, 3:].T
-        R = np.array(
-            [
-                [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
-            ]
-        )
-        return np.asarray(np.moveaxis(R / (w * w + x * x + y * y + z * z), 2, 0))
+        return rotations(self.rows[:, 3:])
 
     def take(self, index: NDArray[np.intp]) -> StatedPoses:
         """Some of the poses, in the same units."""
@@ -93,7 +86,7 @@ class StatedPoses:
     @property
     def points(self) -> Array:
         """(N, 12) whose distances are those of the poses, in the units of k."""
-        distance, turn = ((1.0 + _TURN) * square for square in self.squares)
+        distance, turn = ((1.0 + _TURN) * square for square in self.mean_squares)
         turned = np.sqrt(_TURN / turn) * self.R.reshape(-1, 9)
         return np.hstack([self.p / np.sqrt(distance), turned])
 
@@ -113,8 +106,8 @@ def unknown_share(smooth: SmoothErrors, rows: Array) -> Array:
     parameters take up what is constant and linear, and what is left of a smooth function grows at
     least so.
     """
-    fit = StatedPoses(np.array(smooth.poses), smooth.units)
-    others = StatedPoses(rows, smooth.units)
+    fit = StatedPoses(np.array(smooth.poses), smooth.mean_squares)
+    others = StatedPoses(rows, smooth.mean_squares)
     total = sum(smooth.sizes)
     if not total:
         return np.zeros(len(rows))

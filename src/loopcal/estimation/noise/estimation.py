@@ -67,10 +67,11 @@ PRINTED = 1e-2
 # Chosen, not derived: looser fits cost rounds, tighter ones steps.
 _SHARE = 0.1
 """A rough fit ends so many sds near its optimum for each unit by which the logarithms change."""
-# Of 1, 2, 3 and 5 turns and 0.01 to 0.1: sets of eight kinds took 740 to 790 rounds with each.
-_MIXED, _ALIKE = 3, 0.1
-"""Changes of earlier turns that a step is mixed with, and how far less one may be than another, in
-directions that they have in common, before rough fits hide it."""
+# Chosen on sets of eight kinds: with 1, 2, 3 and 5 turns and cuts of 0.03 and 0.1 they took 740 to
+# 790 rounds.
+_MIXED, _CUT = 3, 0.1
+"""A step is mixed with the changes of so many turns before. Singular values of these changes below
+that share of the largest are left out: rough fits hide them."""
 # Chosen, not derived: new sds may mend one failure; every further one costs a fit.
 _FAILURES = 1
 """So many fits in succession may end without converging."""
@@ -465,10 +466,10 @@ def _mixed(turns: list[tuple[Array, Array]]) -> Array:
     """(n,) by how much the logarithms of variances change: to where the last steps together vanish.
 
     Each fit linearises the loops elsewhere, which may lead past the variances at which fit and
-    variances agree; steps as they are would swing about them. With the changes X of places and F of
-    steps f from turn to turn, it is f - (X + F) g with the g of least |f - F g| (Anderson 1965;
-    Walker and Ni 2011, section 2). Where it is longer than the last steps, these foretell nothing:
-    it is f, and earlier turns are forgotten.
+    variances agree: plain steps would swing about them. X and F are the changes of places and of
+    steps f from turn to turn. The change is f - (X + F) g with the g of least |f - F g| (Anderson
+    1965; Walker and Ni 2011, section 2). Where that is longer than the last steps, these foretell
+    nothing: the change is f, and `turns` loses the earlier ones.
 
     turns: where each began, (n,), and its step (n,).
     """
@@ -477,7 +478,7 @@ def _mixed(turns: list[tuple[Array, Array]]) -> Array:
     if len(turns) == 1:
         return step
     X, F = (np.diff([turn[i] for turn in turns], axis=0).T for i in (0, 1))
-    move = step - (X + F) @ np.linalg.lstsq(F, step, rcond=_ALIKE)[0]
+    move = step - (X + F) @ np.linalg.lstsq(F, step, rcond=_CUT)[0]
     if np.abs(move).max(initial=0.0) > max(np.abs(f).max(initial=0.0) for _, f in turns[-2:]):
         del turns[:-1]
         return step

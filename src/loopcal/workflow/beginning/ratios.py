@@ -31,6 +31,9 @@ LEAST = 5e-3
 _MOST, _TRIED = 4, 4
 _HELPS = 0.7
 """A further ratio has to leave so little of the misfit."""
+# Far above the 1e-16 of the derivatives, and far below what a pose shows: chosen, not derived.
+_ROUNDING = 1e-12
+"""Of the largest direction or square, so much is rounding."""
 
 
 def misstated(machine: Machine, way: Understood) -> InputError | None:
@@ -78,10 +81,12 @@ def _further(
     by = np.array([way.joints[other][fit.rows] for _, other in others]).T
     d = np.zeros((len(fit.left), len(others)))
     d[: len(moved)] = moved * np.repeat(by, 3, axis=0)
-    U = span(fit.derivatives, 1e-12)
+    U = span(fit.derivatives, _ROUNDING)
     d -= U @ (U.T @ d)
     squares, along = np.square(d).sum(axis=0), d.T @ fit.left
-    k = np.divide(along, squares, out=np.zeros_like(along), where=squares > 1e-12 * squares.max())
+    k = np.divide(
+        along, squares, out=np.zeros_like(along), where=squares > _ROUNDING * squares.max()
+    )
     sizes = np.array([_share(way, pair, 1.0) for pair in others])
     gains = np.where(np.abs(k) * sizes >= LEAST, k * along, 0.0)
     return [others[i] for i in np.argsort(-gains)[:_TRIED] if gains[i] > 0.0]
@@ -93,7 +98,7 @@ def _giving_way(fit: Refined) -> float:
     moments = np.einsum("nai,nci->naic", J, J).reshape(len(fit.by_joints), -1)
     columns = np.zeros((len(fit.left), moments.shape[1]))
     columns[: len(moments)] = moments
-    U = span(np.column_stack([fit.derivatives, columns]), 1e-12)
+    U = span(np.column_stack([fit.derivatives, columns]), _ROUNDING)
     return float(np.linalg.norm(fit.left - U @ (U.T @ fit.left)) / np.linalg.norm(fit.left))
 
 
