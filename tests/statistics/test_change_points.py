@@ -19,7 +19,7 @@ from loopcal.document.change_points import Change, ChangePoint
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.mechanisms.station import Station, pose_of
 from loopcal.statistics.estimated import log_tail
-from loopcal.statistics.findings import sized
+from loopcal.statistics.findings import as_fitted, sized
 from loopcal.statistics.verdict import findings_of
 from tests.estimation.test_real_data import RIGHT, left_arm, measured
 from tests.reference.simulated import MA1400_RANGES, ma1400
@@ -123,6 +123,29 @@ def test_an_encoder_mastered_anew_is_the_zero_of_its_joint() -> None:
     assert refit.chi_squared is not None
     assert refit.chi_squared.variance_factor == pytest.approx(1.0, abs=0.25)
     assert refit.value["theta_3_from71"] == pytest.approx(2e-3, rel=0.05)
+
+
+def test_what_is_modelled_is_said_by_the_sizes_of_the_fit() -> None:
+    """The parameters of a shift count from the start of the run; the sentence from the step."""
+    data, number = read(joints(120, 9), 9), np.arange(120)
+    wrong = data.with_readings(
+        {"theta_3": data["theta_3"] + 2e-3 * (number >= 40) + 3e-3 * (number >= 80)}
+    )
+    points = [replace(p, modelled=True) for p in lc.find_shifts(fitted(wrong)).found]
+    made = lc.with_shifts(ARM, wrong, points)
+    refit = lc.calibrate(
+        made.mechanism, made.data, noise=NOISE, start="nominal", method="implicit-loop"
+    )
+    first, second = (as_fitted(refit, p, points).changes["theta_3"] for p in points)
+    value, sd = refit.value, refit.sd
+    assert first.size == -value["theta_3_from41"] == pytest.approx(-2e-3, rel=0.1)
+    assert first.sd == sd["theta_3_from41"]
+    assert second.size == value["theta_3_from41"] - value["theta_3_from81"]
+    assert second.size == pytest.approx(-3e-3, rel=0.1)
+    meanings = {p.name: p.meaning for p in made.mechanism.parameters}
+    assert meanings["theta_3_from41"] == (
+        "change of what theta_3 reads from pose 41 on, against the start"
+    )
 
 
 @pytest.mark.parametrize(("name", "size"), [("x2", 1e-3), ("phiy3", 1e-3)])

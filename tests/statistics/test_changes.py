@@ -307,6 +307,8 @@ def test_another_load_is_modelled_and_predictions_hold_under_it(
     (point,) = heavier.document.change_points.found
     assert (point.moved, point.modelled, point.changing) == ("load", True, ("load",))
     assert abs(point.number - 35) <= 1
+    sizes = {f"{name}_from{point.number}": one.size for name, one in point.changes.items()}
+    assert sizes == {name: heavier.value[name] for name in sizes}
     answer = lc.verdict(heavier).answers["sound"]
     assert (answer.passed, answer.code) == (None, "changes-modelled")
     assert 'changing = ["load"]' in heavier.document.change_points.toml

@@ -9,7 +9,7 @@ question: by how much it moves what the machine is calibrated for.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NoReturn
 
@@ -26,6 +26,7 @@ from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.execution.executor import gathered
 from loopcal.execution.forked import process_cores
 from loopcal.mechanisms.station import standing
+from loopcal.mechanisms.structure.structured import EFFECT
 from loopcal.presentation.brief import brief
 from loopcal.statistics.case import Case, nominal_case
 from loopcal.statistics.change_points import apart, find_shifts
@@ -113,7 +114,7 @@ def findings(result: FitResult, region: Mapping[str, Span] | None = None) -> Fin
             outliers, shifts = gathered(process_cores(), _searched, result, searches)
         parts = result.parts
         earlier = parts.change_points or ChangePoints((), shifts.level, 0)
-        modelled = earlier.found
+        modelled = tuple(as_fitted(result, p, earlier.found) for p in earlier.found)
         new = tuple(sized(result, p) for p in shifts.found if apart(p, modelled))
         toml = earlier.toml + shift_lines(result.dataset, new)
         shifts = replace(shifts, found=tuple(sorted((*modelled, *new), key=lambda p: p.number)))
@@ -151,6 +152,37 @@ def _shifts(result: FitResult) -> Shifts:
         return NOT_SEARCHED
     searched = result.parts.shifts
     return find_shifts(result) if searched is None else searched
+
+
+def as_fitted(result: FitResult, point: ChangePoint, points: Sequence[ChangePoint]) -> ChangePoint:
+    """A change that is modelled, by sizes and sds of the fit: a step against the poses before it.
+
+    points: all that are modelled. Each segment of a shift counts from the start of the run.
+    """
+    if not point.modelled:
+        return point
+    steps = {p.number for p in points if p.shape == "step" and p.changing == point.changing}
+    segment = sorted(steps | {point.number}).index(point.number)
+    every, owners = result.mechanism.parameters, (point.effect, EFFECT)
+    changes = dict(point.changes)
+    for name, change in point.changes.items():
+        of_name = [
+            p.name
+            for p in every
+            if p.owner in owners and (p.changes == name or p.name == f"{name}_drift")
+        ]
+        # A drift is its first parameter; those of its bends follow.
+        ends = of_name[:1] if point.shape == "ramp" else of_name[max(segment - 1, 0) : segment + 1]
+        if not ends or not set(ends) <= set(result.estimated):
+            continue
+        rows = [result.estimated.index(end) for end in ends]
+        signs = np.array([-1.0, 1.0])[-len(rows) :]
+        if point.moved == "joint" and name in result.mechanism.quantities:
+            signs = -signs  # The zero of an encoder falls by what its readings gain.
+        variance = signs @ result.covariance[np.ix_(rows, rows)] @ signs
+        size = sum(sign * result.value[end] for sign, end in zip(signs, ends, strict=True))
+        changes[name] = replace(change, size=float(size), sd=math.sqrt(max(variance, 0.0)))
+    return replace(point, changes=changes)
 
 
 def _unit_sd(result: FitResult) -> float | None:

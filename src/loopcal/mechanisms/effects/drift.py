@@ -96,7 +96,7 @@ class Drift:
                 0.0,
                 si,
                 DRIFT_SD,
-                meaning=f"{said} of {'all ' * grows}{name} along the run",
+                meaning=f"{said} {_of(mechanism, name)} along the run",
                 changes="" if grows else name,
             )
             for name, si in drifting.items()
@@ -192,7 +192,8 @@ class Shift:
                 0.0,
                 si,
                 shift_sd(si),
-                meaning=f"change of {name} from {self.column} {a:.12g} on",
+                meaning=f"change {_of(mechanism, name)} from {self.column} {a:.12g} on, "
+                "against the start",
                 changes=name,
             )
             for name, si in _units(mechanism, self.changing).items()
@@ -240,6 +241,13 @@ def _units(mechanism: Mechanism, patterns: tuple[str, ...]) -> dict[str, str]:
     names = [p for p in patterns if p in read and p not in mechanism.parameters.names]
     units = {p.name: p.unit for p in meant(mechanism, [n for n in patterns if n not in names])}
     return units | {name: mechanism.quantities[name] for name in names}
+
+
+def _of(mechanism: Mechanism, name: str) -> str:
+    """Of what it is the change, for the meaning of a parameter."""
+    if name == LENGTHS:
+        return f"of all {name}"
+    return f"of {name}" if name in mechanism.parameters.names else f"of what {name} reads"
 
 
 def _moved(name: str, change: Any, x: Values, p: Values) -> Any:
