@@ -38,7 +38,7 @@ from loopcal.document.choice import Candidate, Chosen
 from loopcal.estimation.dependence.dependence import likenesses
 from loopcal.estimation.plausible import CODE as CONTRADICTED
 from loopcal.estimation.result import FitResult
-from loopcal.estimation.solve.scratch import one_blas_thread, reuse_memory
+from loopcal.estimation.solve.scratch import one_blas_thread, release_memory, reuse_memory
 from loopcal.estimation.solve.solver import Progress as Iterated
 from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.execution.forked import helping, process_cores
@@ -49,7 +49,17 @@ from loopcal.statistics.changes import CERTAIN, Changes, changes, unchanged
 from loopcal.statistics.folds import Index, Scheme, grouped, stated_sds
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.images import culprits, image_validation, lens_halves
-from loopcal.statistics.judged import EXCLUDED, IDLE, UNCERTAIN, Judged, begun, fitted, lean
+from loopcal.statistics.judged import (
+    EXCLUDED,
+    IDLE,
+    UNCERTAIN,
+    Judged,
+    begun,
+    fitted,
+    lean,
+    refuse,
+    without_fits,
+)
 from loopcal.statistics.noise_floor import excess, noise_floor
 from loopcal.statistics.risks import (
     beats,
@@ -195,11 +205,8 @@ def _compared(
     near = next((one.whole for one in judged if one.whole and not one.failed), None)
     whole_fits: dict[str, FitResult | None] = {}
     if run_changes.happened:
-        case, near, whole_fits = (
-            run_changes.case,
-            run_changes.whole,
-            {run_changes.by: run_changes.whole},
-        )
+        case, near = run_changes.case, run_changes.whole
+        whole_fits = {run_changes.by: near}
         judged, waiting = [], list(entrants(case, run_changes.moved, run_changes.made))
 
     def planned() -> Plan | None:
@@ -208,7 +215,7 @@ def _compared(
     # those without a model error are fitted once, where what happened during the run is known
     more, plan = _all_fitted([begun(one, near) for one in waiting], iterated, whole_fits, planned)
     judged = [*judged, *more]
-    _refuse(judged)
+    refuse(judged)
     few = plan is not None and plan.blocked is None
     leave = partial(lean, rule=EXCLUDED if few else IDLE)
     judged = gathered(process_cores(), leave, case, judged)
@@ -216,7 +223,11 @@ def _compared(
         judged = _validated(judged, plan, executor, progress)
         judged = judged if few else _with_fewer(case, judged, plan, executor, progress)
         judged = _refitted(judged, plan, len(case.data), executor)
-    return _Compared(case, judged, plan, *_choice(judged, plan, len(case.data)))
+    taken, chosen, validation = _choice(judged, plan, len(case.data))
+    light, taken = [*map(without_fits, judged)], without_fits(taken)
+    del judged, more
+    release_memory()
+    return _Compared(case, light, plan, taken, chosen, validation)
 
 
 def _chosen(case: Case, result: FitResult, chosen: Chosen) -> FitResult:
@@ -224,20 +235,6 @@ def _chosen(case: Case, result: FitResult, chosen: Chosen) -> FitResult:
     return result.with_parts(
         method=case.fit.method.name, chosen=chosen, noise_floor=noise_floor(result)
     )
-
-
-def _refuse(judged: Sequence[Judged]) -> None:
-    """Raise the first error where nothing can be calibrated, or at no size that means anything.
-
-    A machine of unknown size stays refused although the spread of its lengths about the drawing
-    can be learnt. Every fit makes it smaller, because the joints' noise moves a small machine less.
-    """
-    estimated = [one for one in judged if not one.entrant.drawn]
-    plain = [one for one in estimated if not one.entrant.structured]
-    sizeless = all(one.error is not None and one.error.code == "unknown-size" for one in plain)
-    able = plain if sizeless else estimated
-    if not any(one.whole for one in able):
-        raise next(one.error for one in able if one.error)
 
 
 def _tells(one: Entrant) -> bool:
@@ -294,7 +291,9 @@ def _changes(case: Case, by: Judged, level: float = CERTAIN) -> Changes | None:
     """What happened during the run by a candidate's fit; None where it has none."""
     if by.whole is None or by.failed:
         return None
-    return replace(changes(case, by.entrant.case.fit, by.whole, level), by=by.name)
+    run_changes = replace(changes(case, by.entrant.case.fit, by.whole, level), by=by.name)
+    release_memory()
+    return run_changes
 
 
 def _of(scheme: Scheme | None, run_changes: Changes) -> Scheme | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from loopcal.document.choice import DECISIVE
@@ -16,7 +17,7 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.structure.smooth import DISCREPANCY
 from loopcal.mechanisms.structure.structured import GEOMETRY_TERMS
 from loopcal.statistics.case import Begin, Case, Entrant, without_terms
-from loopcal.statistics.validation import Outcome, unread
+from loopcal.statistics.validation import Failed, Outcome, unread
 
 # docs/decisions/0158.
 _ABSENT = 2.0 * math.log(5.0)
@@ -74,6 +75,29 @@ def fitted(
     if not whole.status.converged:
         return Judged(one, whole, failed=f"the fit did not converge ({whole.status.reason})")
     return Judged(one, whole)
+
+
+def refuse(judged: Sequence[Judged]) -> None:
+    """Raise the first error where nothing can be calibrated, or at no size that means anything.
+
+    A machine of unknown size stays refused although the spread of its lengths about the drawing
+    can be learnt. Every fit makes it smaller, because the joints' noise moves a small machine less.
+    """
+    estimated = [one for one in judged if not one.entrant.drawn]
+    plain = [one for one in estimated if not one.entrant.structured]
+    sizeless = all(one.error is not None and one.error.code == "unknown-size" for one in plain)
+    able = plain if sizeless else estimated
+    if not any(one.whole for one in able):
+        raise next(one.error for one in able if one.error)
+
+
+def without_fits(one: Judged) -> Judged:
+    """After the choice: without the fits of its parts, each of which holds three matrices of all
+    parameters. Without outputs they stay, because what they state is compared."""
+    if one.whole is None or not one.whole.mechanism.outputs:
+        return one
+    made = (p if isinstance(p, Failed) else replace(p, fit=None, held=None) for p in one.made)
+    return replace(one, made=tuple(made))
 
 
 @dataclass(frozen=True)

@@ -77,22 +77,25 @@ class OrderedSystem:
     def in_order(self) -> OrderedSystem:
         """With smooth columns, and the poses as they were measured."""
         order = pose_order(self.problem)
-        D, X = self.D[order], self.X[order]
+        # Poses as they were measured are the rule: their columns are large, and no copy is made.
+        at = slice(None) if np.array_equal(order, self.order) else order
+        X, Z = self.X[at], self.Z[at]
         smooth = _smooth_columns(self.problem, X, order)
         more = sum(B.shape[2] for B in smooth)
-        Z = D if self.Z is self.D else self.Z[order]
+        if smooth:
+            Z = np.concatenate([Z, *smooth], axis=2)
         return replace(
             self,
             order=order,
-            E=self.E[order],
-            Z=np.concatenate([Z, *smooth], axis=2) if smooth else Z,
-            D=D,
+            E=self.E[at],
+            Z=Z,
+            D=Z[:, :, : self.D.shape[2]] if self.Z is self.D else self.D[at],
             X=X,
             precision=np.pad(self.precision, (0, more)),
             pull=np.pad(self.pull, (0, more)),
-            patterns=self.patterns[order],
-            rows=self.rows[order],
-            count=self.count[order],
+            patterns=self.patterns[at],
+            rows=self.rows[at],
+            count=self.count[at],
             smooth=more,
         )
 
@@ -409,12 +412,15 @@ def _scaled(system: OrderedSystem, more: Array, T: Array, weights: Array, ratios
         products += flat.T @ flat
     fit = Fitted(system, more, T, weights, 1.0, stated, pull, products)
     size = np.trace(products[m - smooth :, m - smooth :]) / max(int(system.count.sum()) * smooth, 1)
-    tried = []
-    for ratio in ratios.tolist() if smooth else ():
+
+    def with_ratio(ratio: float) -> Fitted:
         precision = stated.copy()
         precision[m - smooth :] += max(size, 1e-300) / ratio
-        tried.append(replace(fit, ratio=ratio, precision=precision))
-    return min(tried, key=lambda one: one.criterion) if tried else fit
+        return replace(fit, ratio=ratio, precision=precision)
+
+    # One after the other: each holds several matrices of all columns.
+    tried = map(with_ratio, ratios.tolist() if smooth else [])
+    return min(tried, key=lambda one: one.criterion, default=fit)
 
 
 def _in_parts(system: OrderedSystem, more: Array, T: Array) -> Iterator[tuple[slice, Array]]:
@@ -509,6 +515,7 @@ def ordered_system(result: FitResult) -> OrderedSystem:
         precision > 0.0, precision * (problem.nominal - solution.parameters[problem.free]), 0.0
     )
     rounding = rounding_left(problem, equations)
+    del equations, block  # as large as what was made of them
     as_read = np.arange(N)
     made = OrderedSystem(
         problem, as_read, E, D, D, X, precision, pull, patterns, rows, count, 0, rounding
