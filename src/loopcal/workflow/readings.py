@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -115,9 +114,12 @@ def new_readings(
             raise
         from loopcal.workflow.beginning.later_layout import later_layout
 
-        made = None
-        with suppress(InputError):  # what is missing says more
-            made = later_layout(entries, mechanism)
+        made, source = None, inputs.get("data", {}).get("source") or {}
+        try:
+            made = later_layout(entries, mechanism, source.get("columns"))
+        except InputError as other:  # else what is missing says more
+            if other.code == "mismatched-poses":
+                raise other from None
         if made is None:
             raise
         return made
@@ -203,7 +205,7 @@ def _of_table(result: Any, data: Any, units: Units, *, whole: bool) -> Dataset:
     if isinstance(data, list | np.ndarray):
         columns = np.asarray(data, dtype=float)
         outputs, unused = mechanism.outputs, mechanism.predicting().unused
-        aside = {*outputs, *unused, *mechanism.disturbances}
+        aside = {*outputs, *unused, *mechanism.disturbances, *mechanism.implied}
         joints = [q for q in mechanism.quantities if q not in aside]
         names = [*joints, *outputs] if whole else joints
         stated = source["columns"] if source else {}

@@ -347,8 +347,10 @@ def instruments(fields: Sequence[Field]) -> tuple[Seen, ...]:
     """The instruments whose columns are named as they usually are."""
     by_stem = {f.stem: f for f in fields if f.stem}
     polar = [_first(by_stem, names) for names in _POLAR]
-    if all(f is not None for f in polar):
-        return (Seen("spherical", tuple(f for f in polar if f is not None)),)
+    read = tuple(f for f in polar if f is not None)
+    if len(read) == len(polar):  # coordinates beside them are computed; a file of others is not
+        others = [f for f in fields if f.table not in {one.table for one in read}]
+        return (Seen("spherical", read), *(s for s in instruments(others) if s.kind == "point"))
     turned, form, position = _orientation(fields, by_stem)
     aside = {id(f) for f in turned}
     rest = [f for f in fields if id(f) not in aside]
