@@ -205,7 +205,7 @@ def _of_table(result: Any, data: Any, units: Units, *, whole: bool) -> Dataset:
     if isinstance(data, list | np.ndarray):
         columns = np.asarray(data, dtype=float)
         outputs, unused = mechanism.outputs, mechanism.predicting().unused
-        aside = {*outputs, *unused, *mechanism.disturbances, *mechanism.implied}
+        aside = {*outputs, *unused, *mechanism.disturbances}
         joints = [q for q in mechanism.quantities if q not in aside]
         names = [*joints, *outputs] if whole else joints
         stated = source["columns"] if source else {}

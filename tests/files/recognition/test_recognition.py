@@ -123,7 +123,7 @@ def test_instruments_are_known_by_their_columns(names: str, kinds: list[str]) ->
 
 
 def test_points_in_another_file_than_range_and_angles_are_another_instrument() -> None:
-    polar, computed = "range azimuth elevation".split(), "x y z".split()
+    polar, computed = ["range", "azimuth", "elevation"], ["x", "y", "z"]
     columns = fields(" ".join([*polar, *computed]))
     assert [s.kind for s in instruments(columns)] == ["spherical"]
     apart = [replace(f, table=int(f.stem in computed)) for f in columns]
