@@ -128,6 +128,9 @@ def test_points_in_another_file_than_range_and_angles_are_another_instrument() -
     assert [s.kind for s in instruments(columns)] == ["spherical"]
     apart = [replace(f, table=int(f.stem in computed)) for f in columns]
     assert [s.kind for s in instruments(apart)] == ["spherical", "point"]
+    far = np.sqrt(sum(np.square(f.values) for f in apart[3:]))
+    same = [replace(apart[0], values=1e3 * far), *apart[1:]]
+    assert [s.kind for s in instruments(same)] == ["spherical"]
 
 
 def test_sds_go_with_their_coordinates() -> None:

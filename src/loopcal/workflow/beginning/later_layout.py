@@ -56,7 +56,7 @@ def later_layout(
         return None
     every = layouts(fields.fields, len(machine.joints), machine.joints)
     by_joint = [str((columns or {}).get(name, {}).get("column", name)) for name in machine.joints]
-    every += tuple(made for layout in every if (made := _computed(layout, by_joint)))
+    every += tuple(filter(None, (_computed(layout, by_joint) for layout in every)))
     ways = sorted(every_way(machine, every), key=lambda way: way.share)
     way = understood(machine, every, fields, None, ways)
     kinds = [meaning.seen.kind for meaning in way.seen]
