@@ -45,7 +45,7 @@ _TABLE: dict[str, dict[str, float]] = {
     "number": {"1": 1.0, "ppm": 1e-6},
     "mass": {"kg": 1.0, "g": 1e-3},
     "force": {"N": 1.0},
-    "time": {"s": 1.0},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "temperature": {"K": 1.0, "mK": 1e-3, "degC": 1.0},
 }
 _ZEROS = {"degC": 273.15}

@@ -22,7 +22,9 @@ from analyses.instruments import (
     six_axis,
     touching,
 )
+from loopcal.estimation.faults.repairs import repairs
 from loopcal.estimation.problem.constants import constants_by_pose, with_implied
+from loopcal.estimation.steps import started
 from loopcal.mechanisms.instruments.contact import ball_bar, socket
 from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.instruments.pose import pose
@@ -198,3 +200,16 @@ def test_a_plate_on_a_positioner_is_off_no_drawing_and_good_poses_are_good(tmp_p
     # 7 turning joints and a slide, the plate seen as points (trees.md: 4 R + 2 P + 3)
     assert len(checked.superfluous) == len(document.covariance.names) - (4 * 8 + 2 + 3)
     assert checked.identifiability.condition_number == pytest.approx(138.0, rel=0.02)
+
+
+def test_joints_that_hardly_move_are_no_repair_of_gaps() -> None:
+    given = setup("six-axis socket")
+    joints = {q: simulated(given, 3).dataset[q] for q in JOINTS}
+    data = lc.Dataset.from_arrays(joints, units=dict.fromkeys(joints, "rad"))
+    held = given.truth.with_parameters(given.truth.parameters.with_fixed(HELD))
+    problem = started(held, data, NOISE, "implicit-loop")
+    rows = [given.truth.tape.quantities.index(q) for q in JOINTS]
+    travel = np.ptp(problem.readings[rows], axis=1)
+    units = [one.problem for one in repairs(problem) if one.code == "unit"]
+    assert units
+    assert all((np.ptp(one.readings[rows], axis=1) >= travel).all() for one in units)

@@ -119,3 +119,29 @@ def test_after_least_squares_regions_hold_the_true_point() -> None:
     # The noise of the instrument, a fifth of the variance here, is in the residuals too.
     assert 0.93 < np.mean(held) < 0.99
     assert 0.8 < np.mean(sizes) < 1.1
+
+
+def test_range_and_angles_are_valid_by_the_place_of_their_point() -> None:
+    arm = lc.assemble(
+        lc.machines.planar_two_link(),
+        [lc.instruments.spherical(dimension=2)],
+        {"tracker_x": 4.0, "tracker_y": 1.0},
+    )
+    angles = [q for q, unit in arm.quantities.items() if unit == "rad"]
+    joints, azimuth = [q for q in angles if q in arm.joints], arm.outputs[1]
+    noise = lc.Noise({arm.outputs[0]: 2e-5, **dict.fromkeys(angles, JOINT), azimuth: 1e-4})
+    made = lc.simulate(
+        arm, lc.random_poses(dict.fromkeys(joints, (-1.5, 1.5)), 30, seed=1), noise=noise, seed=1
+    )
+    result = lc.calibrate(arm, made.dataset, noise=noise, method="implicit-loop")
+    pose = dict(zip(joints, (0.4, 1.1), strict=True))
+    at = lc.predict(result, {q: [v] for q, v in pose.items()})
+    distance = at.outputs[arm.outputs[0]][0]
+    lever = np.diag([1.0, distance])  # [m] of the point per m and per rad
+    known = predictor(result)
+    assert known is not None
+    region = region_of(result, known, {q: (v, v + 1e-9) for q, v in pose.items()})
+    assert region is not None
+    assert [one.unit for one in region.by] == ["m"]
+    sd = np.sqrt(np.trace(lever @ at.covariance[0] @ lever))
+    assert region.worst.sd == pytest.approx(sd, rel=1e-6)

@@ -30,7 +30,7 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.instruments.camera import before_lens
 from loopcal.mechanisms.limits import joint_limits
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.mechanisms.outputs import OutputGroup, output_groups
+from loopcal.mechanisms.outputs import POLAR, OutputGroup, levers, output_groups, point_outputs
 from loopcal.statistics.prediction import Parts, parts_at
 from loopcal.statistics.predictor import Predictor, trace_sd
 
@@ -100,7 +100,7 @@ def _region(
     now = as_now(mechanism, problem.pose_constants)
     also = [q for i, q in enumerate(names) if unread[i] and q not in still]
     between = driven if {one.source for one in ranges} == {"readings"} else []
-    groups = output_groups(mechanism)
+    groups = _groups(mechanism)
     cameras = all(group.image for group in groups)
     count, beyond = _TRIED if cameras else _POSES, 0.0 if between else _BEYOND
     x, constants = _random_poses(calibrated, ranges, count, corrected, now, between)
@@ -210,9 +210,8 @@ def _sds(
         part = slice(begin, begin + size)
         at = x[:, part], constants[:, part]
         parts = _parts(calibrated, *at, also, measured)
-        covariance = parts.covariance
         outputs.append(parts.outputs)
-        sds.append([_by_unit(calibrated, group, *at, covariance) for group in groups])
+        sds.append([_by_unit(calibrated, group, *at, parts) for group in groups])
     joined = [
         {unit: np.concatenate([one[i][unit] for one in sds]) for unit in sds[0][i]}
         for i in range(len(groups))
@@ -220,13 +219,36 @@ def _sds(
     return np.concatenate(outputs, axis=1), joined
 
 
+def _groups(mechanism: Mechanism) -> list[OutputGroup]:
+    """The outputs whose sds belong together; range and angles of one point are its place [m]."""
+    families = {family.name: family for family in mechanism.families if family.form in POLAR}
+    groups = []
+    for group in output_groups(mechanism):
+        family = families.get(group.instrument)
+        if family is not None and set(family.readings) <= set(mechanism.outputs):
+            if group.unit != "m":
+                continue
+            outputs = point_outputs(mechanism, family)
+            rows = tuple(mechanism.outputs.index(q) for q in outputs)
+            group = replace(group, outputs=outputs, rows=rows)
+        groups.append(group)
+    return groups
+
+
 def _by_unit(
-    calibrated: Predictor, group: OutputGroup, x: Array, constants: Array, covariance: Array
+    calibrated: Predictor, group: OutputGroup, x: Array, constants: Array, parts: Parts
 ) -> dict[str, Array]:
-    sds = {group.unit: trace_sd(covariance, group)}
+    mechanism, covariance = calibrated.mechanism, parts.covariance
     if group.image:
-        sds["m"] = _at_board(calibrated, group, x, constants, covariance)
-    return sds
+        at_board = _at_board(calibrated, group, x, constants, covariance)
+        return {group.unit: trace_sd(covariance, group), "m": at_board}
+    family = next((one for one in mechanism.families if one.name == group.instrument), None)
+    if family is not None and len(group.outputs) == len(family.readings):
+        rows = list(group.rows)
+        covariance = covariance.copy()
+        arms = levers(family, parts.outputs[rows]).T  # (N, r) [m] per reading
+        covariance[:, rows, rows] *= np.square(arms)
+    return {group.unit: trace_sd(covariance, group)}
 
 
 def _at_board(

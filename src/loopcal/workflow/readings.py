@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -115,9 +114,12 @@ def new_readings(
             raise
         from loopcal.workflow.beginning.later_layout import later_layout
 
-        made = None
-        with suppress(InputError):  # what is missing says more
-            made = later_layout(entries, mechanism)
+        made, source = None, inputs.get("data", {}).get("source") or {}
+        try:
+            made = later_layout(entries, mechanism, source.get("columns"))
+        except InputError as other:  # else what is missing says more
+            if other.code == "mismatched-poses":
+                raise other from None
         if made is None:
             raise
         return made

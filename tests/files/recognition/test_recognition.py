@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -119,6 +120,17 @@ def test_an_external_axis_that_stands_still_is_no_joint() -> None:
 )
 def test_instruments_are_known_by_their_columns(names: str, kinds: list[str]) -> None:
     assert [s.kind for s in instruments(fields(names))] == kinds
+
+
+def test_points_in_another_file_than_range_and_angles_are_another_instrument() -> None:
+    polar, computed = ["range", "azimuth", "elevation"], ["x", "y", "z"]
+    columns = fields(" ".join([*polar, *computed]))
+    assert [s.kind for s in instruments(columns)] == ["spherical"]
+    apart = [replace(f, table=int(f.stem in computed)) for f in columns]
+    assert [s.kind for s in instruments(apart)] == ["spherical", "point"]
+    far = np.sqrt(sum(np.square(f.values) for f in apart[3:]))
+    same = [replace(apart[0], values=1e3 * far), *apart[1:]]
+    assert [s.kind for s in instruments(same)] == ["spherical"]
 
 
 def test_sds_go_with_their_coordinates() -> None:

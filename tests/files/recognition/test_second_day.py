@@ -129,9 +129,9 @@ def kept(folder: Path, files: Mapping[str, str]) -> list[Path]:
     return [folder / name for name in files]
 
 
-def begun(tmp_path: Path, paths: list[Path]) -> Any:
+def begun(tmp_path: Path, paths: list[Path], joints: str | None = None) -> Any:
     (tmp_path / "dh.csv").write_text(dh_arm.dh_table(), "utf-8")
-    robot = RobotFile(dh=tmp_path / "dh.csv")
+    robot = RobotFile(dh=tmp_path / "dh.csv", joints=joints)
     initial_project(paths, robot, out=tmp_path / "calibration")
     return read_project(tmp_path / "calibration" / "project.toml")
 
@@ -300,6 +300,46 @@ def test_other_columns_that_the_machine_does_not_fit_are_none(tmp_path: Path) ->
     (tmp_path / "b.csv").write_text(written(columns), "utf-8")
     with refused("missing-column", "J1"):
         new_readings(tmp_path / "b.csv", project.inputs, project.mechanism, whole=True)
+    columns = joints_of(q, names) | points_of(np.roll(T[:, :3, 3], 1, axis=0))
+    (tmp_path / "c.csv").write_text(written(columns), "utf-8")
+    with refused("mismatched-poses"):
+        new_readings(tmp_path / "c.csv", project.inputs, project.mechanism, whole=True)
+
+
+def test_an_instrument_that_is_not_used_on_a_day_reads_nothing(tmp_path: Path) -> None:
+    def files(rows: slice) -> dict[str, str]:
+        q, T = day(rows)
+        x, y, z = T[:, :3, 3].T
+        polar = [np.hypot(np.hypot(x, y), z), np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))]
+        read = dict(zip(("range [m]", "azimuth [rad]", "elevation [rad]"), polar, strict=True))
+        each = {"joints": joints_of(q), "points": points_of(T[:, :3, 3] + NORTH), "polar": read}
+        return {f"{name}.csv": written({"pose": ids(q), **of}) for name, of in each.items()}
+
+    project = begun(tmp_path, kept(tmp_path / "first", files(slice(0, 40))))
+    joints, points, polar = kept(tmp_path / "second", files(slice(60, 80)))
+    for seen, blank in ((points, "tracker_1_range"), (polar, "x_2")):
+        read = read_new_readings([joints, seen], project.inputs, project.mechanism, whole=True)
+        assert {n for n, v in read.readings.items() if np.isnan(v).any()} >= {blank}
+        assert sum(np.isnan(v).all() for v in read.readings.values()) == 3
+    text = polar.read_text("utf-8").replace("range", "distance")
+    (other,) = kept(tmp_path / "third", {"polar.csv": text})
+    with refused("missing-column", "range"):  # it may be the same by another name
+        read_new_readings([joints, points, other], project.inputs, project.mechanism, whole=True)
+
+
+def test_points_alone_do_not_serve_where_poses_were_measured(tmp_path: Path) -> None:
+    q, T = day(slice(0, 40))
+    turned = Rotation.from_matrix(T[:, :3, :3]).as_quat(scalar_first=True)
+    columns = {
+        **joints_of(q, [f"J{i} [deg]" for i in range(1, 7)]),
+        **points_of(T[:, :3, 3], ["x [mm]", "y [mm]", "z [mm]"]),
+    }
+    quaternion = dict(zip(("qw", "qx", "qy", "qz"), turned.T, strict=True))
+    first = written(columns | quaternion)
+    project = begun(tmp_path, kept(tmp_path / "first", {"a.csv": first}))
+    (path,) = kept(tmp_path / "second", {"b.csv": written(columns)})
+    with refused("missing-column", "orientation", "--leave-out qw,qx,qy,qz"):
+        new_readings(path, project.inputs, project.mechanism, whole=True)
 
 
 def test_so_it_is_where_the_project_reads_the_first_file_itself(tmp_path: Path) -> None:
@@ -328,3 +368,22 @@ def test_a_missing_column_of_the_instrument_is_named(tmp_path: Path) -> None:
     with refused("missing-column", "z"):
         read_new_readings(tmp_path / "b.csv", project.inputs, project.mechanism, whole=True)
     assert len(read_new_readings(tmp_path / "b.csv", project.inputs, project.mechanism)) == 20
+
+
+def test_joints_of_other_names_are_computed_as_on_the_first_day(tmp_path: Path) -> None:
+    def from_the_horizon(q: Array, names: list[str], factor: float = 180 / np.pi) -> dict[str, Any]:
+        read = q.copy()
+        read[:, 2] -= q[:, 1]
+        return joints_of(read, names, factor)
+
+    first, (q, T) = day(slice(0, 40)), day(slice(60, 80))
+    columns = from_the_horizon(first[0], NAMES) | points_of(first[1][:, :3, 3])
+    project = begun(
+        tmp_path, kept(tmp_path / "first", {"a.csv": written(columns)}), "J1,J2,J3+J2,J4,J5,J6"
+    )
+    names = [f"axis_{i}" for i in range(1, 7)]
+    columns = from_the_horizon(q, names, 1.0) | points_of(T[:, :3, 3])
+    (path,) = kept(tmp_path / "second", {"b.csv": written(dict(reversed(columns.items())))})
+    read = new_readings(path, project.inputs, project.mechanism, whole=True)
+    np.testing.assert_allclose([read[n] for n in NAMES], q.T, atol=1e-8)
+    assert "axis_3+axis_2" in read.source.read_as

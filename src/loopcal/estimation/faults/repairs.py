@@ -149,7 +149,9 @@ class _Maker:
                 moves = np.nanstd(x[list(rows)], axis=1) / NOISE
                 noise = np.nanmedian(self.sd[list(rows)], axis=1)
                 for ratio, words in ratios:
-                    if ratio < 1.0 and (ratio * moves <= noise).all():
+                    # gaps alone close where the joints hardly move
+                    gaps = self.mechanism.implied and not any(self.seen)
+                    if ratio < 1.0 and (gaps or (ratio * moves <= noise).all()):
                         continue
                     sentence = f"{self._listed(rows)} {be} {words}"
                     yield self._changed("unit", sentence, rows, ratio * x[list(rows)])

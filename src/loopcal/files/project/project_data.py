@@ -315,8 +315,19 @@ def read_new_readings(
             place=str(paths[0]),
             remedy=f"name all files of the day: the calibration was of {first}",
         )
+    turned = [quantity for of in mechanism.orientations for quantity in of.columns]
     for quantity, column in columns.items():
         if quantity in mechanism.pose_constants and _absent(column.column, labels):
+            if quantity in turned:
+                names = ",".join(str(columns[q].column) for q in turned)
+                raise InputError(
+                    f"there is no column {column.column!r} of the orientation, which the "
+                    "calibration measured",
+                    code="missing-column",
+                    place=str(paths[0]),
+                    remedy="measure the orientation too, or calibrate by the points of both days: "
+                    f"loopcal init with --leave-out {names}",
+                )
             raise InputError(
                 f"there is no column {column.column!r}, and the calibration learnt what "
                 f"{quantity} does",

@@ -198,19 +198,32 @@ def converted(fields: Fields, table: SourceTable, quantities: Set[str]) -> Datas
     if stations is not None:
         _refuse_other_stations(stations, table)
     wanted = [one for one in table.instrument if not quantities.isdisjoint(one.readings)]
-    absent = [one for one in wanted if _is_absent(fields, one)]
+    absent = [one for one in wanted if _is_absent(fields, one, table)]
     for one in wanted:
         if one in absent and len(absent) < len(wanted):
+            unread = np.full(len(fields.poses), np.nan)
+            for i, name in enumerate(() if one.turns else one.readings):
+                si = "rad" if i and one.angle else "m"
+                readings[name] = Reading(unread, si, None, si)
             continue
         some = readings_of(_meaning(fields, one, stations), one.readings)
         readings |= {name: r for name, r in some.items() if name in quantities}
     return dataset_of(fields.poses, readings)
 
 
-def _is_absent(fields: Fields, one: SourceInstrument) -> bool:
-    """Whether no row is of its station or target, whose label ends its columns."""
+def _is_absent(fields: Fields, one: SourceInstrument, table: SourceTable) -> bool:
+    """Whether no row is of its station or target, whose label ends its columns, or no column."""
     ends = {f"{_OF}{key.rpartition(_OF)[2]}" for key in map(str, one.columns) if _OF in key}
-    return bool(ends) and not any(f.label.endswith(tuple(ends)) for f in fields.fields)
+    if ends:
+        return not any(f.label.endswith(tuple(ends)) for f in fields.fields)
+    if one.turns or any(_column(fields, key) for key in one.columns):
+        return False
+    # So many others may be its columns by other names.
+    keys = [of.column for of in table.columns.values()]
+    keys += [key for other in table.instrument for key in (*other.columns, *other.turns)]
+    known = {(f.table, f.position) for key in keys if (f := _column(fields, key))}
+    others = [f for f in fields.fields if (f.table, f.position) not in known and f.span]
+    return len(others) < len(one.columns)
 
 
 def _meaning(fields: Fields, one: SourceInstrument, stations: Field | None) -> Meaning:

@@ -33,6 +33,9 @@ _NO_PLACES = _UNMEASURED.union(words("columns", "temperature"), words("columns",
 _CELL = re.compile(r"^(?P<word>[a-z_]*?)_?(?P<row>[0-4])_?(?P<column>[0-4])$")
 FEWEST = 5
 """Rows that place an instrument."""
+# Chosen, not derived: coordinates are written to 1e-6 of a range, and no two instruments agree so.
+_ROUNDED = 1e-4
+"""Share of a range by which one computed from coordinates differs."""
 _ANGLES = 6
 """Columns beside a length at most of which two may be its angles."""
 
@@ -347,8 +350,11 @@ def instruments(fields: Sequence[Field]) -> tuple[Seen, ...]:
     """The instruments whose columns are named as they usually are."""
     by_stem = {f.stem: f for f in fields if f.stem}
     polar = [_first(by_stem, names) for names in _POLAR]
-    if all(f is not None for f in polar):
-        return (Seen("spherical", tuple(f for f in polar if f is not None)),)
+    read = tuple(f for f in polar if f is not None)
+    if len(read) == len(polar):  # coordinates beside them are computed; a file of others is not
+        others = [f for f in fields if f.table not in {one.table for one in read}]
+        beside = [s for s in instruments(others) if s.kind == "point"]
+        return (Seen("spherical", read), *(s for s in beside if not _as_far(s, read[0])))
     turned, form, position = _orientation(fields, by_stem)
     aside = {id(f) for f in turned}
     rest = [f for f in fields if id(f) not in aside]
@@ -362,9 +368,9 @@ def instruments(fields: Sequence[Field]) -> tuple[Seen, ...]:
         position = tuple(behind[:3]) if len(behind) > 2 else ()
     if turned and (position or points):
         if not position:  # that whose columns stand next to those of the turn
-            beside = min(points, key=lambda t: abs(turned[0].position - t[-1].position))
-            points.remove(beside)
-        seen.append(Seen("pose", position or beside, turned, form))
+            nearest = min(points, key=lambda t: abs(turned[0].position - t[-1].position))
+            points.remove(nearest)
+        seen.append(Seen("pose", position or nearest, turned, form))
     seen += [Seen("point", point) for point in points]
     for field in rest:
         number = NUMBERED.match(field.stem)
@@ -372,6 +378,14 @@ def instruments(fields: Sequence[Field]) -> tuple[Seen, ...]:
         if word in _LENGTH_WORDS:
             seen.append(Seen("length", (field,)))
     return tuple(replace(s, sds=_sds(s.position, fields)) for s in seen)
+
+
+def _as_far(point: Seen, distance: Field) -> bool:
+    """Whether a point is as far as a tracker measured in all poses: computed from what it read."""
+    read = np.where(distance.values == 0.0, np.nan, distance.values)  # a lost reflector
+    far = np.sqrt(sum(np.square(f.values) for f in point.position)) / read
+    far = far[np.isfinite(far)]
+    return bool(far.size and np.ptp(far) < _ROUNDED * far.max())
 
 
 def _orientation(

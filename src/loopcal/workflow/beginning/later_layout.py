@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +13,8 @@ from loopcal.files.cameras.folder import tables_of
 from loopcal.files.recognition.conditions import by_condition, degrees_of
 from loopcal.files.recognition.converting import Reading, dataset_of, quaternions, readings_of
 from loopcal.files.recognition.joins import Fields, joined
-from loopcal.files.recognition.layouts import layouts
+from loopcal.files.recognition.joint_sets import computed_column
+from loopcal.files.recognition.layouts import Layout, layouts
 from loopcal.files.recognition.logs import at_rest
 from loopcal.files.recognition.meanings import Meaning
 from loopcal.files.recognition.robots import parallel_machine
@@ -28,10 +30,16 @@ _FORMS = frozenset({"point", "pose", "spherical", "length"})
 _PLACES = {"point": ("m", "m", "m"), "spherical": ("m", "rad", "rad")}
 """Units of instruments that read where a point is, of which one may take the place of another."""
 
+_FIRST = re.compile(r"-?([^-+*]+)")
+"""The column that an expression such as J3+J2 begins with: the joint's own one."""
 
-def later_layout(entries: Sequence[Any], mechanism: Mechanism) -> Dataset | None:
+
+def later_layout(
+    entries: Sequence[Any], mechanism: Mechanism, columns: Mapping[str, Any] | None = None
+) -> Dataset | None:
     """The readings by the only columns and units in which a calibrated machine fits them.
 
+    columns: those of the joints on the first day, by quantity, some of them computed.
     None for a machine that this cannot be asked of: of closed loops in a plane or without an
     instrument, with constants other than orientations, payloads and temperatures, or with other
     instruments than trackers, poses and lengths.
@@ -47,13 +55,15 @@ def later_layout(entries: Sequence[Any], mechanism: Mechanism) -> Dataset | None
     if mechanism.pose_constants.keys() - mechanism.latest.keys() - oriented - stated.keys():
         return None
     every = layouts(fields.fields, len(machine.joints), machine.joints)
+    by_joint = [str((columns or {}).get(name, {}).get("column", name)) for name in machine.joints]
+    every += tuple(filter(None, (_computed(layout, by_joint) for layout in every)))
     ways = sorted(every_way(machine, every), key=lambda way: way.share)
     way = understood(machine, every, fields, None, ways)
     kinds = [meaning.seen.kind for meaning in way.seen]
     if len(kinds) != len(forms) or not all(map(_serves, kinds, forms)):
         return None
-    columns = zip(machine.joints, way.layout.joints, machine.units, way.units, strict=True)
-    readings = {name: Reading(way.joints[name], si, f, of) for name, f, si, of in columns} | stated
+    joints = zip(machine.joints, way.layout.joints, machine.units, way.units, strict=True)
+    readings = {name: Reading(way.joints[name], si, f, of) for name, f, si, of in joints} | stated
     for family, meaning in zip(mechanism.families, way.seen, strict=True):
         readings |= _placed(replace(meaning, turns=None), family)
         for orientation in mechanism.orientations:
@@ -70,6 +80,18 @@ def later_layout(entries: Sequence[Any], mechanism: Mechanism) -> Dataset | None
     words = f"Other columns than on the first day, read as {'; '.join(meant)}."
     source = replace(made.source, file=", ".join(names), rows_read=len(made), read_as=words)
     return replace(made, source=source)
+
+
+def _computed(layout: Layout, expressions: Sequence[str]) -> Layout | None:
+    """With joints computed from columns of other names as on the first day; None where none was."""
+    first = [match[1].strip() if (match := _FIRST.match(text)) else text for text in expressions]
+    if first == list(expressions) or len(set(first)) < len(first):
+        return None
+    labels = {name: field.label for name, field in zip(first, layout.joints, strict=True)}
+    names = re.compile("|".join(map(re.escape, sorted(labels, key=len, reverse=True))))
+    texts = [names.sub(lambda match: labels[match[0]], text) for text in expressions]
+    made = [computed_column(layout.joints, text) for text in texts]
+    return replace(layout, joints=tuple(j for j in made if j)) if all(made) else None
 
 
 def _serves(kind: str, form: str) -> bool:
