@@ -168,6 +168,29 @@ def test_one_image_in_another_order() -> None:
     assert begun.rms < 0.35
 
 
+def test_an_order_whose_pose_errs_as_others_do_is_named() -> None:
+    """No image is off by less than five medians: such an order is that of the points."""
+    true = shots(43, images=12)
+    point = true.corners.point.copy()
+    one = true.corners.image == 3
+    point[one] = COLUMNS * ROWS - 1 - point[one]
+    lenses = (true.intrinsics["cam"],)
+    scene = Scene(lenses, true.X[None], true.Y[None], A=true.T)
+    corners = true.corners.numbered(point)
+    views = corners.views
+
+    def named(px: float) -> list[str]:
+        """With an image in another order, whose pose is off by so many medians."""
+        typical = float(np.median(views.medians(np.linalg.norm(scene.residuals(corners), axis=1))))
+        uv = corners.uv + np.where(corners.image == 3, px * typical, 0.0)[:, None] * [1.0, 0.0]
+        moved = corners.at(uv)
+        found = Adjusted(scene, scene.residuals(moved), {})
+        return [fact.code for fact in explained(Reading(moved, true.T, lenses), found).facts]
+
+    assert named(4.0) == ["points-in-another-order"]
+    assert named(6.0) == ["image-unexplained"]
+
+
 def test_two_poses_exchanged() -> None:
     true = shots(47)
     T = true.T.copy()

@@ -95,7 +95,7 @@ def from_images(
         if made is not None:
             return made
         describe = None
-    project, turned = understood(files, hand_of(files, describe, joints, folder))
+    project, turned = understood(files, hand_of(files.poses, describe, joints, folder))
     remarks = (
         *files.remarks,
         *project.hand.remarks,
