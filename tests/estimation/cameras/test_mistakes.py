@@ -137,6 +137,18 @@ def test_intrinsics_of_an_image_on_its_side() -> None:
     assert begun.intrinsics_stated["cam"].cx == pytest.approx(lens.cx, abs=60.0)
 
 
+def test_rectified_images_beside_the_distortion_of_raw_ones() -> None:
+    true = shots(41)
+    lens = true.intrinsics["cam"]
+    P = Scene((lens,), true.X[None], true.Y[None], A=true.T).in_camera(true.corners)
+    seen = lens.fx * P[:, :2] / P[:, 2:] + [lens.cx, lens.cy]
+    seen += np.random.default_rng(41).normal(0.0, 0.2, seen.shape)
+    stated = Intrinsics("brown5", lens.fx, lens.fx, lens.cx, lens.cy, (-0.3, 0.1, 0.0, 0.0, 0.0))
+    begun = true.start(corners=true.corners.at(seen), intrinsics={"cam": stated})
+    assert [fact.code for fact in begun.facts if fact.applied] == ["images-rectified"]
+    assert not any(begun.intrinsics_stated["cam"].distortion)
+
+
 def test_an_image_is_off_where_it_is_in_pixels_and_in_lengths() -> None:
     """An error of the hand's place is larger in pixels where the board is near."""
     true = shots(5, images=12)

@@ -81,6 +81,8 @@ def corrected(reading: Reading, held: bool | None) -> tuple[Reading, list[Fact]]
     the best one is taken, at most two in a row.
     """
     reading, facts = _better(reading, list(_planar_suspicions(reading)), plane_misfit)
+    reading, more = _straight(reading)
+    facts += more
     if reading.T_base_flange is None:
         reading, more = _believable(reading)
         facts += more
@@ -204,6 +206,26 @@ def _better(
     values: dict[str, float | str] = {"px_before": before, "px_after": after}
     fact = Fact(reason.code, reason.sentence, values, applied=True)
     return replace(best, held=held), [fact]
+
+
+def _straight(reading: Reading) -> tuple[Reading, list[Fact]]:
+    """The reading without the stated distortion, where single images fit clearly better so."""
+    lenses = tuple(
+        replace(lens, lens="brown5", distortion=()) if any(lens.distortion) else lens
+        for lens in reading.lenses
+    )
+    if not reading.stated or lenses == reading.lenses:
+        return reading, []
+    other = replace(reading, lenses=lenses)
+    before, after = image_misfit(reading), image_misfit(other)
+    if not after < CLEAR * before:
+        return reading, []
+    sentence = (
+        "The images fit without the stated distortion, as rectified images do. State the lens of "
+        "the images as they are."
+    )
+    values: dict[str, float | str] = {"px_before": before, "px_after": after}
+    return other, [Fact("images-rectified", sentence, values, applied=True)]
 
 
 def _planar_suspicions(reading: Reading) -> Iterator[Suspicion]:
