@@ -83,6 +83,12 @@ def test_poses_read_in_another_way(code: str) -> None:
     np.testing.assert_allclose(begun.X[0], true.X, atol=4e-3)
 
 
+def test_the_order_of_quaternions_is_that_of_the_columns() -> None:
+    true = shots(23)
+    (fact,) = (f for f in true.start(T=scalar_first(true.T)).facts if f.applied)
+    assert "w, x, y, z" in fact.sentence
+
+
 @pytest.mark.parametrize("words", LABELS)
 def test_points_numbered_in_another_way(words: str) -> None:
     true = shots(29)

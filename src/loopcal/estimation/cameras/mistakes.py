@@ -463,7 +463,7 @@ def _hand_suspicions(held: bool | None) -> Iterator[Suspicion]:
         "The rotations of the poses fit only when transposed. Check the order of their elements.",
         lambda one: _with_hand(one, _transposed),
     )
-    for name, order in (("w, x, y, z", (3, 0, 1, 2)), ("x, y, z, w", (1, 2, 3, 0))):
+    for name, order in (("x, y, z, w", (3, 0, 1, 2)), ("w, x, y, z", (1, 2, 3, 0))):
         yield Suspicion(
             "quaternion-order",
             f"The quaternions fit in the order {name}, not in the order that was read.",
