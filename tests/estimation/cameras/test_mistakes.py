@@ -143,6 +143,16 @@ def test_intrinsics_of_an_image_on_its_side() -> None:
     assert begun.intrinsics_stated["cam"].cx == pytest.approx(lens.cx, abs=60.0)
 
 
+@pytest.mark.parametrize(("width", "words"), [(0.5, "by 2."), (1.5, "by 0.6667.")])
+def test_intrinsics_of_images_of_another_size(width: float, words: str) -> None:
+    true = shots(41)
+    f, cx, cy = (width * v for v in (true.f, *(0.5 * np.array(SIZE))))
+    lens = Intrinsics("brown5", f, f, cx, cy)
+    (fact,) = (f for f in true.start(intrinsics={"cam": lens}).facts if f.applied)
+    assert fact.code == "intrinsics-of-another-size"
+    assert words in fact.sentence
+
+
 def test_rectified_images_beside_the_distortion_of_raw_ones() -> None:
     true = shots(41)
     lens = true.intrinsics["cam"]

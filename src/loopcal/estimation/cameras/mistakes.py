@@ -61,6 +61,8 @@ SMALLEST_BOARD = 1e-3
 FAR, FARTHER = 0.5, 3.0
 """What sits on a flange is not that far [m] from it, and so many times as far as what stands beside
 the robot is from its base."""
+SIZES = (1 / 3, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 3.0)
+"""Widths of images over those that the intrinsics are of, as 1280 / 1920."""
 FARTHEST_HAND = 20.0
 """Spread of positions [m] above which a hand was not stated in metres."""
 
@@ -528,11 +530,11 @@ def _lens_suspicions(cameras: tuple[str, ...]) -> Iterator[Suspicion]:
             "images as they are: the principal point moves.",
             lambda one, turn=turn: _turned(one, turn),  # type: ignore[misc]
         )
-    for factor in (0.5, 2.0):
+    for factor in SIZES:
         yield Suspicion(
             "intrinsics-of-another-size",
-            f"The stated intrinsics fit images of {1.0 / factor:g} times this size: multiply "
-            f"f and c by {factor:g}.",
+            f"The stated intrinsics fit images of {1.0 / factor:.4g} times this size: multiply "
+            f"f and c by {factor:.4g}.",
             lambda one, factor=factor: _resized(one, factor),  # type: ignore[misc]
         )
 
