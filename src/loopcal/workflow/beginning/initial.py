@@ -383,8 +383,8 @@ def _of_images(
 
         made = on_another_link(made, tips, on)
     project = read_project(folder / PROJECT, text=made.begun.text)
-    made = made.clear_of(left_out(project, made.begun.dataset, made.doubtful))
-    return _kept(made, folder, write=write)
+    out = left_out(project, made.begun.dataset, made.doubtful)
+    return _kept(made.clear_of(out), folder, write=write)
 
 
 def _of_tree(readings: Sequence[Any], robot: RobotFile, folder: Path) -> Begun:
