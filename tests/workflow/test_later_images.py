@@ -257,3 +257,18 @@ def test_predictions_take_the_folder_as_well(first: Path, tmp_path: Path) -> Non
     T = hands(3, 9)
     true = pixels(T, on="base")[0, 0]
     assert done.outputs["eye:board:0:u"] == pytest.approx(true, abs=1.0)
+
+
+def test_predictions_take_poses_without_images(first: Path, tmp_path: Path) -> None:
+    result, folder = lc.read_result(first), day(tmp_path, 9, 3)
+    alone = result.predict(folder / "robot.csv")
+    assert alone.outputs["eye:board:0:u"] == pytest.approx(
+        result.predict(folder).outputs["eye:board:0:u"], abs=1e-9
+    )
+
+
+def test_poses_whose_turns_only_images_decide_are_refused(first: Path, tmp_path: Path) -> None:
+    table = tmp_path / "poses.csv"
+    table.write_text("pose,x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg\n1,10,20,300,10,20,30\n", "utf-8")
+    with refused("conflicting-keys", "read in several ways"):
+        lc.read_result(first).predict(table)

@@ -91,12 +91,18 @@ def new_readings(
     whole: with the outputs. Raises InputError for what is none of both.
     """
     entries = [data] if isinstance(data, str | Path) else list(data)
-    seen = any(family.form == PIXELS for family in mechanism.families) and are_images(entries)
+    cameras = any(family.form == PIXELS for family in mechanism.families)
+    seen = cameras and are_images(entries)
     observe = inputs.get("data", {}).get("observe")
     if seen and not observe:
         from loopcal.workflow.beginning.later_images import later_images
 
         return later_images(entries, mechanism)
+    if cameras and not whole and not reads(entries[0], inputs, mechanism, whole=whole):
+        from loopcal.workflow.beginning.later_images import later_poses
+
+        if (poses := later_poses(entries, mechanism)) is not None:
+            return poses
     if mechanism.families and {f.form for f in mechanism.families} == {"pose"}:
         from loopcal.workflow.beginning.from_samples import later_samples, samples_of
 

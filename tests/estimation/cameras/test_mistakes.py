@@ -83,6 +83,12 @@ def test_poses_read_in_another_way(code: str) -> None:
     np.testing.assert_allclose(begun.X[0], true.X, atol=4e-3)
 
 
+def test_the_order_of_quaternions_is_that_of_the_columns() -> None:
+    true = shots(23)
+    (fact,) = (f for f in true.start(T=scalar_first(true.T)).facts if f.applied)
+    assert "w, x, y, z" in fact.sentence
+
+
 @pytest.mark.parametrize("words", LABELS)
 def test_points_numbered_in_another_way(words: str) -> None:
     true = shots(29)
@@ -137,6 +143,28 @@ def test_intrinsics_of_an_image_on_its_side() -> None:
     assert begun.intrinsics_stated["cam"].cx == pytest.approx(lens.cx, abs=60.0)
 
 
+@pytest.mark.parametrize(("width", "words"), [(0.5, "by 2."), (1.5, "by 0.6667.")])
+def test_intrinsics_of_images_of_another_size(width: float, words: str) -> None:
+    true = shots(41)
+    f, cx, cy = (width * v for v in (true.f, *(0.5 * np.array(SIZE))))
+    lens = Intrinsics("brown5", f, f, cx, cy)
+    (fact,) = (f for f in true.start(intrinsics={"cam": lens}).facts if f.applied)
+    assert fact.code == "intrinsics-of-another-size"
+    assert words in fact.sentence
+
+
+def test_rectified_images_beside_the_distortion_of_raw_ones() -> None:
+    true = shots(41)
+    lens = true.intrinsics["cam"]
+    P = Scene((lens,), true.X[None], true.Y[None], A=true.T).in_camera(true.corners)
+    seen = lens.fx * P[:, :2] / P[:, 2:] + [lens.cx, lens.cy]
+    seen += np.random.default_rng(41).normal(0.0, 0.2, seen.shape)
+    stated = Intrinsics("brown5", lens.fx, lens.fx, lens.cx, lens.cy, (-0.3, 0.1, 0.0, 0.0, 0.0))
+    begun = true.start(corners=true.corners.at(seen), intrinsics={"cam": stated})
+    assert [fact.code for fact in begun.facts if fact.applied] == ["images-rectified"]
+    assert not any(begun.intrinsics_stated["cam"].distortion)
+
+
 def test_an_image_is_off_where_it_is_in_pixels_and_in_lengths() -> None:
     """An error of the hand's place is larger in pixels where the board is near."""
     true = shots(5, images=12)
@@ -166,6 +194,29 @@ def test_one_image_in_another_order() -> None:
     (fact,) = (fact for fact in begun.facts if fact.applied)
     assert (fact.code, fact.images) == ("points-in-another-order", ("image 3",))
     assert begun.rms < 0.35
+
+
+def test_an_order_whose_pose_errs_as_others_do_is_named() -> None:
+    """No image is off by less than five medians: such an order is that of the points."""
+    true = shots(43, images=12)
+    point = true.corners.point.copy()
+    one = true.corners.image == 3
+    point[one] = COLUMNS * ROWS - 1 - point[one]
+    lenses = (true.intrinsics["cam"],)
+    scene = Scene(lenses, true.X[None], true.Y[None], A=true.T)
+    corners = true.corners.numbered(point)
+    views = corners.views
+
+    def named(px: float) -> list[str]:
+        """With an image in another order, whose pose is off by so many medians."""
+        typical = float(np.median(views.medians(np.linalg.norm(scene.residuals(corners), axis=1))))
+        uv = corners.uv + np.where(corners.image == 3, px * typical, 0.0)[:, None] * [1.0, 0.0]
+        moved = corners.at(uv)
+        found = Adjusted(scene, scene.residuals(moved), {})
+        return [fact.code for fact in explained(Reading(moved, true.T, lenses), found).facts]
+
+    assert named(4.0) == ["points-in-another-order"]
+    assert named(6.0) == ["image-unexplained"]
 
 
 def test_two_poses_exchanged() -> None:

@@ -87,6 +87,21 @@ def test_three_rows_of_a_matrix_with_any_names(names: str, tmp_path: Path) -> No
     np.testing.assert_allclose(places.T[0, :3], np.c_[TURNED, (1, 2, 3)], atol=1e-12)
 
 
+@pytest.mark.parametrize("by", ["rows", "columns"])
+def test_sixteen_numbers_of_one_name_are_a_matrix(by: str, tmp_path: Path) -> None:
+    """As robots log them, column by column too: O_T_EE."""
+    T = np.r_[np.c_[TURNED, (1, 2, 3)], [[0, 0, 0, 1]]]
+    row = ",".join(f"{value:g}" for value in (T if by == "rows" else T.T).ravel())
+    text = "image," + ",".join(f"O_T_EE_{i}" for i in range(16)) + f"\nn1,{row}\nn2,{row}\n"
+    np.testing.assert_allclose(read_places(written(tmp_path, text, "poses.csv")).T[1], T)
+
+
+def test_six_numbers_of_one_name_may_be_joints(tmp_path: Path) -> None:
+    text = "image," + ",".join(f"joint_{i}" for i in range(6)) + "\nn1,1,2,3,4,5,6\n"
+    with refused("missing-column"):
+        read_places(written(tmp_path, text, "poses.csv"))
+
+
 def test_poses_that_are_none_are_refused(tmp_path: Path) -> None:
     with refused("missing-column", "poses.csv", "qw"):
         read_places(written(tmp_path, "pose,x_m,y_m,z_m\n1,0,0,1\n2,0,1,1\n", "poses.csv"))

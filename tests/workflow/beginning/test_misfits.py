@@ -9,7 +9,11 @@ import numpy as np
 
 import loopcal as lc
 from analyses.cameras_truth import Shots, shots
+from loopcal.estimation.cameras.facts import Fact
+from loopcal.workflow.beginning.from_images import FromImages, from_images
+from loopcal.workflow.beginning.images_project import UNEXPLAINED
 from loopcal.workflow.beginning.initial import InitialProject
+from loopcal.workflow.beginning.misfits import LeftOut
 
 WRONG = 3
 """Position of the image whose pose is wrong."""
@@ -51,6 +55,18 @@ def test_no_good_image_is_left_out(tmp_path: Path) -> None:
     project = lc.init(tmp_path / "images")
     assert not _left_out(project)
     assert len(project.dataset) == 16
+
+
+def test_an_image_that_the_others_explain_is_not_said_not_to_fit(tmp_path: Path) -> None:
+    _written(tmp_path / "images", 2, 0.0)
+    made = from_images([tmp_path / "images"], None, None, tmp_path, named=False)
+    sentence = "Image 3 does not fit."
+    doubt = Fact(UNEXPLAINED, sentence, {}, ("3",))
+    start = replace(made.project.begun, facts=(doubt,))
+    begun = replace(made.begun, remarks=(sentence,))
+    doubtful = FromImages(begun, made.project.begun_at(start))
+    assert doubtful.clear_of(LeftOut({})).remarks == (sentence,)
+    assert doubtful.clear_of(LeftOut({}, explained=frozenset("3"))).remarks == ()
 
 
 def test_a_pose_that_hundreds_of_corners_hide_is_an_outlier(tmp_path: Path) -> None:

@@ -48,7 +48,7 @@ def explained(reading: Reading, result: Adjusted) -> Explained:
     new = corners
     for v in np.flatnonzero(off):
         one = corners.where(views.of_corner == v)
-        name, ordered = _in_order(one, scene, NEAR * typical)
+        name, ordered = _in_order(one, scene, FAR * typical)
         image = int(views.image[v])
         if ordered is not None:
             new = _replaced(new, one, ordered)

@@ -61,6 +61,8 @@ SMALLEST_BOARD = 1e-3
 FAR, FARTHER = 0.5, 3.0
 """What sits on a flange is not that far [m] from it, and so many times as far as what stands beside
 the robot is from its base."""
+SIZES = (1 / 3, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 3.0)
+"""Widths of images over those that the intrinsics are of, as 1280 / 1920."""
 FARTHEST_HAND = 20.0
 """Spread of positions [m] above which a hand was not stated in metres."""
 
@@ -81,6 +83,8 @@ def corrected(reading: Reading, held: bool | None) -> tuple[Reading, list[Fact]]
     the best one is taken, at most two in a row.
     """
     reading, facts = _better(reading, list(_planar_suspicions(reading)), plane_misfit)
+    reading, more = _straight(reading)
+    facts += more
     if reading.T_base_flange is None:
         reading, more = _believable(reading)
         facts += more
@@ -204,6 +208,26 @@ def _better(
     values: dict[str, float | str] = {"px_before": before, "px_after": after}
     fact = Fact(reason.code, reason.sentence, values, applied=True)
     return replace(best, held=held), [fact]
+
+
+def _straight(reading: Reading) -> tuple[Reading, list[Fact]]:
+    """The reading without the stated distortion, where single images fit clearly better so."""
+    lenses = tuple(
+        replace(lens, lens="brown5", distortion=()) if any(lens.distortion) else lens
+        for lens in reading.lenses
+    )
+    if not reading.stated or lenses == reading.lenses:
+        return reading, []
+    other = replace(reading, lenses=lenses)
+    before, after = image_misfit(reading), image_misfit(other)
+    if not after < CLEAR * before:
+        return reading, []
+    sentence = (
+        "The images fit without the stated distortion, as rectified images do. State the lens of "
+        "the images as they are."
+    )
+    values: dict[str, float | str] = {"px_before": before, "px_after": after}
+    return other, [Fact("images-rectified", sentence, values, applied=True)]
 
 
 def _planar_suspicions(reading: Reading) -> Iterator[Suspicion]:
@@ -441,7 +465,7 @@ def _hand_suspicions(held: bool | None) -> Iterator[Suspicion]:
         "The rotations of the poses fit only when transposed. Check the order of their elements.",
         lambda one: _with_hand(one, _transposed),
     )
-    for name, order in (("w, x, y, z", (3, 0, 1, 2)), ("x, y, z, w", (1, 2, 3, 0))):
+    for name, order in (("x, y, z, w", (3, 0, 1, 2)), ("w, x, y, z", (1, 2, 3, 0))):
         yield Suspicion(
             "quaternion-order",
             f"The quaternions fit in the order {name}, not in the order that was read.",
@@ -506,11 +530,11 @@ def _lens_suspicions(cameras: tuple[str, ...]) -> Iterator[Suspicion]:
             "images as they are: the principal point moves.",
             lambda one, turn=turn: _turned(one, turn),  # type: ignore[misc]
         )
-    for factor in (0.5, 2.0):
+    for factor in SIZES:
         yield Suspicion(
             "intrinsics-of-another-size",
-            f"The stated intrinsics fit images of {1.0 / factor:g} times this size: multiply "
-            f"f and c by {factor:g}.",
+            f"The stated intrinsics fit images of {1.0 / factor:.4g} times this size: multiply "
+            f"f and c by {factor:.4g}.",
             lambda one, factor=factor: _resized(one, factor),  # type: ignore[misc]
         )
 

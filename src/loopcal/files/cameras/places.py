@@ -23,7 +23,7 @@ from loopcal.errors import InputError
 from loopcal.files.cameras.corners import split_name
 from loopcal.files.cameras.document import Part, is_transform, read_document, transform
 from loopcal.files.recognition.fields import Field, Source
-from loopcal.files.recognition.layouts import Seen, instruments
+from loopcal.files.recognition.layouts import Seen, instruments, numbered
 from loopcal.files.recognition.meanings import meanings
 from loopcal.files.recognition.sources import sources_of
 from loopcal.units import unit
@@ -122,7 +122,9 @@ def _of_document(part: Part, path: Path, name: str, depth: int = 4) -> Iterator[
 
 def _of_source(source: Source, path: Path) -> PlaceTable:
     seen = next((s for s in instruments(source.fields) if s.kind == "pose"), None)
-    seen = seen or _unnamed(source.fields)
+    # Six numbers may be joints: only what shows that it turns is a pose.
+    arrays = (one for one in numbered(source.fields) if one.form in ("matrix", "quaternion"))
+    seen = seen or next(arrays, None) or _unnamed(source.fields)
     if seen is None:
         raise InputError(
             "no pose is recognised among the columns",

@@ -32,6 +32,7 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import measured_points
+from loopcal.mechanisms.parallel.free_body import POSITION
 
 
 @dataclass(frozen=True, eq=False)
@@ -354,10 +355,11 @@ def read_new_readings(
 
 
 def reads(path: Any, inputs: Mapping[str, Any], mechanism: Mechanism, *, whole: bool) -> bool:
-    """Whether a file has a column of the project for each joint; whole: and for some output."""
+    """Whether a file has a column of the project for each joint, or for the position of a body
+    without joints; whole: and for some output."""
     spec = _spec(inputs, mechanism)
     outputs = [q for part in spec.parts for q in part.columns if q in mechanism.outputs]
-    return _has_columns(path, spec, {*mechanism.joints}) and (
+    return _has_columns(path, spec, {*(mechanism.joints or POSITION)}) and (
         not whole or any(_has_columns(path, spec, {q}) for q in outputs)
     )
 

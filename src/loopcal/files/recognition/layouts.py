@@ -206,9 +206,8 @@ def _with_joints(
         in_order = tuple(_layout(joints, (one,), fields, how) for one in _read_in_order(some))
         if in_order:
             return in_order
-    numbered = _numbered(free)
-    if numbered:
-        return (_layout(joints, numbered, fields, how),)
+    if seen := numbered(free):
+        return (_layout(joints, seen, fields, how),)
     if coordinates := [f for f in free if f.span > 0.0 and _is_coordinate(f)]:
         raise InputError(
             f"{unnamed(coordinates)} alone places no point",
@@ -323,7 +322,7 @@ def _is_coordinate(field: Field) -> bool:
     return bool(_COORDINATES & {*field.stem.split("_")})
 
 
-def _numbered(fields: Sequence[Field]) -> tuple[Seen, ...]:
+def numbered(fields: Sequence[Field]) -> tuple[Seen, ...]:
     """The instruments whose columns differ in one number, as tracker[0] to tracker[2]."""
     return tuple(
         one

@@ -248,13 +248,14 @@ def quote_error(name: str, row: Row) -> InputError:
 def is_header(cells: Sequence[Sequence[object]], decimal: str, place: str) -> bool:
     """Whether the first of these rows is a header.
 
-    A header holds no number; a row of data holds text only where the next one does too. Raises
-    InputError where neither is so.
+    A header holds no number, and names more columns than it marks as missing; a row of data holds
+    text only where the next one does too. Raises InputError where neither is so.
     """
     numeric = [is_number(cell, decimal) for cell in cells[0]]
     text = [i for i, c in enumerate(cells[0]) if not numeric[i] and not is_missing(c)]
     if not any(numeric):
-        return bool(text)
+        marked = [c for c in cells[0] if is_missing(c) and str(c).strip()]
+        return len(text) > len(marked)
     below = cells[1] if len(cells) > 1 else cells[0]
     if all(i < len(below) and not is_number(below[i], decimal) for i in text):
         return False

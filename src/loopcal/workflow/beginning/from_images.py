@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from loopcal.errors import InputError, listed
 from loopcal.estimation.cameras.corners import Corners
@@ -25,7 +24,8 @@ from loopcal.mechanisms.cameras.lens import Intrinsics
 from loopcal.presentation.shown import significant
 from loopcal.workflow.beginning.begun import READINGS, Begun
 from loopcal.workflow.beginning.images_hand import Describe, Hand, hand_of, states_flange, unread
-from loopcal.workflow.beginning.images_project import CORNERS, WRONG, ImagesProject
+from loopcal.workflow.beginning.images_project import CORNERS, UNEXPLAINED, WRONG, ImagesProject
+from loopcal.workflow.beginning.misfits import LeftOut
 from loopcal.workflow.beginning.searching import CLEARLY, NOTHING, PLAUSIBLE
 
 USUAL_LENS = "brown5"
@@ -45,7 +45,7 @@ class FromImages:
     def doubtful(self) -> tuple[str, ...]:
         """Images that fit neither in another order nor beside another pose."""
         facts = self.project.begun.facts
-        return tuple(p for f in facts if f.code == "image-unexplained" for p in f.images)
+        return tuple(p for f in facts if f.code == UNEXPLAINED for p in f.images)
 
     @property
     def share(self) -> float:
@@ -60,17 +60,25 @@ class FromImages:
         left, moved = (float(np.median(np.hypot(*d))) for d in (begun.residuals.T, away))
         return left / max(moved, 1e-9)
 
-    def without(self, readings: Mapping[str, NDArray[np.bool_]], words: str) -> Begun:
-        """The same without some readings, by name and pose; words: why, which joins the remarks."""
+    def clear_of(self, out: LeftOut) -> Begun:
+        """What was begun without what is left out, and without doubts of images that fit."""
         project = self.project
-        wrong = project.marked(readings)
+        gone = {
+            fact.sentence
+            for fact in project.begun.facts
+            if fact.code == UNEXPLAINED and out.explained.issuperset(fact.images)
+        }
+        remarks = tuple(one for one in self.begun.remarks if one not in gone)
+        if not out.words:
+            return _made(project, remarks) if gone else self.begun
+        wrong = project.marked(out.readings)
         begun = project.begun
         corners = begun.corners
         kept = replace(begun, corners=corners.where(~wrong), residuals=begun.residuals[~wrong])
         left = project.begun_at(kept)
-        out = replace(begun, corners=corners.where(wrong), residuals=begun.residuals[wrong])
-        aside = project.begun_at(out)
-        made = _made(left, (*self.begun.remarks, words))
+        rest = replace(begun, corners=corners.where(wrong), residuals=begun.residuals[wrong])
+        aside = project.begun_at(rest)
+        made = _made(left, (*remarks, out.words))
         return replace(made, beside={**made.beside, WRONG: aside.corners()})
 
 
@@ -95,7 +103,7 @@ def from_images(
         if made is not None:
             return made
         describe = None
-    project, turned = understood(files, hand_of(files, describe, joints, folder))
+    project, turned = understood(files, hand_of(files.poses, describe, joints, folder))
     remarks = (
         *files.remarks,
         *project.hand.remarks,

@@ -66,11 +66,13 @@ class Hand:
         )
 
 
-def hand_of(files: Files, describe: Describe | None, joints: str | None, folder: Path) -> Hand:
-    """The robot's part of the files."""
+def hand_of(
+    poses: Sequence[Path], describe: Describe | None, joints: str | None, folder: Path
+) -> Hand:
+    """The robot's part of the files: its tables of poses or joints."""
     if describe is not None:
-        return _joints(files, describe, joints, folder)
-    stated = _stated(files.poses)
+        return _joints(poses, describe, joints, folder)
+    stated = _stated(poses)
     if stated is not None:
         noise = {
             "[xyz]": {"sd": 1e3 * PLACE, "unit": "mm", "estimate": "group"},
@@ -88,8 +90,8 @@ def hand_of(files: Files, describe: Describe | None, joints: str | None, folder:
             counted=stated.counted,
         )
     remarks: tuple[str, ...] = ()
-    if files.poses:
-        names = listed([path.name for path in files.poses], 3)
+    if poses:
+        names = listed([path.name for path in poses], 3)
         remarks = (
             f"{names} states no pose of a flange, and no robot is described (--urdf or --dh), so "
             "the cameras alone are calibrated",
@@ -120,16 +122,16 @@ def _stated(paths: Sequence[Path]) -> PlaceTable | None:
     return PlaceTable(names, T, f"each of {len(tables)} files")
 
 
-def _joints(files: Files, describe: Describe, joints: str | None, folder: Path) -> Hand:
+def _joints(paths: Sequence[Path], describe: Describe, joints: str | None, folder: Path) -> Hand:
     """The robot's joints by columns of the table of poses."""
-    if not files.poses:
+    if not paths:
         raise InputError(
             "no file holds the joints of the robot",
             code="no-data",
             remedy="add a table with a row for each image: pose and its joints",
         )
     # A folder may hold more than the joints, such as the robot's table.
-    for path in files.poses:
+    for path in paths:
         source = sources_of(path, 0)[0]
         columns = joint_columns(source.fields, joints) if joints else ()
         robot = describe(columns or source.fields)
@@ -138,7 +140,7 @@ def _joints(files: Files, describe: Describe, joints: str | None, folder: Path) 
         if every:
             break
     else:
-        names = listed([path.name for path in files.poses], 3)
+        names = listed([path.name for path in paths], 3)
         raise InputError(
             f"{names} has no {robot.joints} columns that may be joints",
             code="missing-column",

@@ -60,7 +60,8 @@ def word(name: str, kind: str) -> str:
     return word if re.match(r"[A-Za-z_]", word) else f"{kind}_{word}"
 
 
-UNFIT = ("image-unexplained", "wrong-corners")
+UNEXPLAINED = "image-unexplained"
+UNFIT = (UNEXPLAINED, "wrong-corners")
 """Codes of facts about images that are not corrected."""
 
 

@@ -383,8 +383,8 @@ def _of_images(
 
         made = on_another_link(made, tips, on)
     project = read_project(folder / PROJECT, text=made.begun.text)
-    wrong = left_out(project, made.begun.dataset, made.doubtful)
-    return _kept(made.without(*wrong) if wrong else made.begun, folder, write=write)
+    out = left_out(project, made.begun.dataset, made.doubtful)
+    return _kept(made.clear_of(out), folder, write=write)
 
 
 def _of_tree(readings: Sequence[Any], robot: RobotFile, folder: Path) -> Begun:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from loopcal.errors import InputError, listed
-from loopcal.files.cameras.folder import read_files
+from loopcal.files.cameras.folder import files_of, read_files
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.machines.mechanism_writer import mechanism_table
 from loopcal.files.recognition.robots import Robot
@@ -20,7 +20,7 @@ from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.instruments.camera import cameras_of
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.workflow.beginning.from_images import named, understood
-from loopcal.workflow.beginning.images_hand import hand_of
+from loopcal.workflow.beginning.images_hand import Hand, hand_of
 from loopcal.workflow.beginning.images_project import doubts, word
 
 SAME = 1e-4
@@ -44,7 +44,7 @@ def later_images(entries: Sequence[Any], mechanism: Mechanism) -> Dataset:
     for eye in eyes.values():
         refuse_unknown_eye(eye, lenses)
     files = replace(files, lenses={camera: lenses[eye] for camera, eye in eyes.items()})
-    hand = hand_of(files, (lambda _: _bare(mechanism)) if mechanism.joints else None, None, Path())
+    hand = _hand(files.poses, mechanism)
     project, _ = understood(files, hand, not cameras[0].on_body)
     for words in doubts(project):
         warnings.warn(words, stacklevel=2)
@@ -52,6 +52,28 @@ def later_images(entries: Sequence[Any], mechanism: Mechanism) -> Dataset:
     pixels = {q for family in mechanism.families for q in family.readings}
     unseen = {q: np.full(len(data), np.nan) for q in pixels - data.readings.keys()}
     return replace(data.with_readings(unseen), places=project.places)
+
+
+def later_poses(entries: Sequence[Any], mechanism: Mechanism) -> Dataset | None:
+    """Poses or joints without images, to predict from, in the tables that `init` takes.
+
+    None where no table has them. Raises InputError for turns that only images could decide.
+    """
+    hand = _hand(files_of(entries), mechanism)
+    if not hand.poses:
+        return None
+    if len(hand.ways) > 1:
+        raise InputError(
+            "the turns of the flange can be read in several ways, and there is no image that "
+            "shows which one it is",
+            code="conflicting-keys",
+            remedy="add the images, or state the turns as quaternions qw, qx, qy, qz",
+        )
+    return Dataset.from_arrays(hand.readings, poses=hand.poses)
+
+
+def _hand(poses: Sequence[Path], mechanism: Mechanism) -> Hand:
+    return hand_of(poses, (lambda _: _bare(mechanism)) if mechanism.joints else None, None, Path())
 
 
 def _bare(mechanism: Mechanism) -> Robot:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,10 +25,18 @@ _WORST = 5
 """Images named."""
 
 
-def left_out(
-    project: Project, dataset: Dataset, doubtful: Sequence[str]
-) -> tuple[Mapping[str, NDArray[np.bool_]], str] | None:
-    """Readings that do not fit the others, (N,) by name, and words on them; None without any.
+@dataclass(frozen=True, eq=False)
+class LeftOut:
+    """readings: those that do not fit the others, (N,) by name; words: on them, "" without any;
+    explained: doubtful images that the calibration of the others explains."""
+
+    readings: Mapping[str, NDArray[np.bool_]]
+    words: str = ""
+    explained: frozenset[str] = frozenset()
+
+
+def left_out(project: Project, dataset: Dataset, doubtful: Sequence[str]) -> LeftOut:
+    """The readings that do not fit the others.
 
     doubtful: images that are far off where all begin. They take no part in the fit that they are
     tested against, for one wrong pose of ten makes the learnt sds as large as itself.
@@ -41,7 +49,7 @@ def left_out(
     try:
         result = Case(project.mechanism, rest, noise, Fit(method="implicit-loop")).calibrated()
     except (InputError, NoTrustworthyResult):
-        return None  # for the calibration to say
+        return LeftOut({})  # for the calibration to say
     wrong = wrong_corners(result)
     rest = rest.select(result.problem.poses)  # of poses that are copies the first counts
     names = result.problem.mechanism.tape.quantities
@@ -57,16 +65,19 @@ def left_out(
             f"images, whose sd is {sds}."
         )
     single = dict(zip(names, wrong.single, strict=True))
-    if gone := _misplaced(project, dataset, rest, single, doubtful):
+    gone = _misplaced(project, dataset, rest, single, doubtful)
+    if gone:
         marks[:, np.isin(dataset.poses, gone)] = True
         several = len(gone) > 1
         words.append(
             f"Left out image{'s' * several} {_first(gone)}: {'they do' if several else 'it does'} "
             "not fit the others."
         )
+    explained = frozenset(doubtful).difference(doubtful if gone is None else gone)
     if not words:
-        return None
-    return dict(zip(names, marks, strict=True)), f"{' '.join(words)} {WRONG} lists the corners."
+        return LeftOut({}, explained=explained)
+    words.append(f"{WRONG} lists the corners.")
+    return LeftOut(dict(zip(names, marks, strict=True)), " ".join(words), explained)
 
 
 def _misplaced(
@@ -75,10 +86,11 @@ def _misplaced(
     rest: Dataset,
     single: Mapping[str, NDArray[np.bool_]],
     doubtful: Sequence[str],
-) -> list[str]:
+) -> list[str] | None:
     """The doubtful images that the fit of the rest does not explain, by what their corners share.
 
-    Where no robot says where they stood, by their corners. single: wrong corners of the rest.
+    Where no robot says where they stood, by their corners. None without a fit of the rest. single:
+    wrong corners of the rest.
     """
     if not doubtful:
         return []
@@ -87,7 +99,7 @@ def _misplaced(
     try:
         result = Case(project.mechanism, good, noise, Fit(method="implicit-loop")).calibrated()
     except (InputError, NoTrustworthyResult):
-        return []
+        return None
     names, learnt = result.problem.mechanism.tape.quantities, result.problem.uncertainty.sd
     sds = {q: float(np.min(sd)) for q, sd in zip(names, learnt, strict=True)}
     problem = build_problem(
