@@ -221,7 +221,7 @@ class _System:
     present: the innovation at t; value: that as if nothing had changed; U: (R, m) the directions,
     less what the placement takes up; visible: (m,); group: of each cause the first with the same
     column; freedom: (m,) degrees of freedom of the variance of each direction; linear: the
-    equations at t; every: all causes together but loads in parts; scale: of S, by these poses;
+    equations at t; every: all causes but loads without mass together; scale: of S, by these poses;
     scale_freedom: its degrees of freedom, None if as stated; spread: `changed.larger` of it.
     """
 
@@ -262,8 +262,8 @@ class _System:
         scale = np.sqrt(np.where(visible, np.diag(G), 1.0))
         alike = G / scale / scale[:, None]
         group, freedom = _groups(causes, alike, visible), linear.freedom(raw)
-        # With all parts of a load without mass too little is left to show a scale.
-        few = np.array([one.kind != "load" or len(one.parts) < 2 for one in causes.causes])
+        # A load without mass has so many parts that with them too little is left to show a scale.
+        few = np.array([one.kind != "load" or len(one.names) < 2 for one in causes.causes])
         rows = np.flatnonzero(visible & (group[causes.owner] == causes.owner) & few[causes.owner])
         every = Estimated.of(
             (g / scale)[rows], alike[np.ix_(rows, rows)], np.ones(len(rows)), _SAME
