@@ -217,6 +217,20 @@ class Calibrated:
         prior_sd = np.append(self.prior_sd, np.full(len(E) - size, math.inf))
         return replace(self.through(made, E), nominal=E @ self.nominal, prior_sd=prior_sd)
 
+    @property
+    def bearing(self) -> Calibrated:
+        """The same as a machine that may give way under another load, by as much as arms usually
+        do, where it was calibrated without such sag."""
+        from loopcal.mechanisms.structure.structured import bearing
+
+        if (made := bearing(self.mechanism)) is self.mechanism:
+            return self
+        E = np.equal.outer(made.parameters.names, self.mechanism.parameters.names).astype(float)
+        usual = {name: term.sd for term in made.terms for name in term.parameters}
+        prior_sd = np.array([usual.get(p.name, p.prior_sd) for p in made.parameters])
+        prior_sd[E.any(axis=1)] = self.prior_sd[E.argmax(axis=1)[E.any(axis=1)]]
+        return replace(self.through(made, E), nominal=E @ self.nominal, prior_sd=prior_sd)
+
     def drifted(self, drift: Array) -> Calibrated:
         """After independent changes of one sd along each column (n_all, k) [SI]."""
         Q = drift @ drift.T

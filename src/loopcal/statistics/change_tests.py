@@ -106,7 +106,7 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
         tests = {i: p for i, p in system.tests(chosen).items() if i not in given_up}
         if not (likely := [i for i, p in tests.items() if p < LEVEL]):  # the likeliest first
             break
-        several = [(*chosen, j) for j in system.tried(likely, chosen)]
+        several = [causes.joined(chosen, j) for j in system.tried(likely, chosen)]
         fits = [(one, system.settled(one, _HALVED)) for one in several]
         best, trial = min(fits, key=lambda fit: fit[1].cost(fit[0]))
         if trial.astray and trial.present > _HELPED * system.present:
@@ -168,12 +168,12 @@ class _Causes:
         """Without what is placed anew."""
         placement, problem = linear.placement, linear.placement.problem
         anew = dict(zip(problem.mechanism.parameters.names, placement.anew, strict=True))
-        causes = []
+        causes, before = list[Possible](), day.calibrated
         for one in possible(problem, BETWEEN_DAYS):
             held = tuple(n for n in one.names if not anew.get(n))
             if held and (held == one.names or not one.parts):
                 one = replace(one, names=held)
-                causes.append(as_learnt(one, day.calibrated.prior_sd, linear))
+                causes += as_learnt(one, before.prior_sd, before.covariance.matrix, linear)
         directions = [(i, d) for i, one in enumerate(causes) for d in one.directions]
         names = tuple(dict.fromkeys(n for _, d in directions for n in d))
         W = np.zeros((len(names), len(directions)))
@@ -204,6 +204,10 @@ class _Causes:
     def candidate(self, i: int) -> Candidate:
         """As it is reported."""
         return Candidate(self.causes[i].name, self.causes[i].kind, self.unit(i))
+
+    def joined(self, chosen: Sequence[int], j: int) -> tuple[int, ...]:
+        """With a further cause, which may be one of them in more parts."""
+        return (*(i for i in chosen if self.causes[i].called != self.causes[j].called), j)
 
     def rows(self, i: int) -> NDArray[np.intp]:
         """The directions of a cause."""
@@ -259,9 +263,8 @@ class _System:
         alike = G / scale / scale[:, None]
         group, freedom = _groups(causes, alike, visible), linear.freedom(raw)
         # A load without mass has so many parts that with them too little is left to show a scale.
-        many = np.array([one.kind == "load" and len(one.names) > 1 for one in causes.causes])
-        heads = group[causes.owner] == causes.owner
-        rows = np.flatnonzero(visible & heads & ~many[causes.owner])
+        few = np.array([one.kind != "load" or len(one.names) < 2 for one in causes.causes])
+        rows = np.flatnonzero(visible & (group[causes.owner] == causes.owner) & few[causes.owner])
         every = Estimated.of(
             (g / scale)[rows], alike[np.ix_(rows, rows)], np.ones(len(rows)), _SAME
         )
@@ -279,8 +282,7 @@ class _System:
 
     def _rows(self, *chosen: int) -> NDArray[np.intp]:
         """The visible directions of these causes."""
-        rows = [self.causes.rows(i) for i in chosen]
-        every = np.concatenate([np.zeros(0, dtype=np.intp), *rows])
+        every = np.concatenate([np.zeros(0, dtype=np.intp), *map(self.causes.rows, chosen)])
         return np.asarray(every[self.visible[every]])
 
     def columns(self, chosen: Sequence[int]) -> Array:
@@ -460,8 +462,7 @@ class _System:
             shares[j] = part.gain / limit
         if min(shares.values()) >= 1.0 or len(chosen) == 1:
             return tuple(chosen)
-        least = min(shares, key=lambda j: shares[j])
-        return self.kept([i for i in chosen if i != least])
+        return self.kept([i for i in chosen if i != min(shares, key=shares.__getitem__)])
 
     def changes(
         self,
@@ -536,7 +537,6 @@ class _System:
         tool = placement.columns(tuple(nominal)) @ np.array([*nominal.values()], dtype=float)
         columns = np.column_stack([self.columns(chosen), tool / np.sqrt(self.linear.factor)])
         columns = columns - self.linear.F @ (self.linear.solve @ columns)
-        # As in `_System.of`: g as if nothing had changed.
         G = self.linear.weighed(columns, columns) / self.scale
         left = self.linear.weighed(columns, self.linear.left[:, None])[:, 0] / self.scale
         g = left + G[:, :-1] @ self.t[rows]
@@ -565,7 +565,7 @@ class _System:
                 same = added.gain <= limit and price < cost + _ALIKE and bool(possible_size)
             if same:
                 alike.append(self.causes.candidate(k))
-        return tuple(alike)
+        return tuple(dict.fromkeys(alike))
 
     def smallest(self, i: int) -> float:
         """The smallest change that is seen with the stated power, in the direction that these poses
@@ -579,13 +579,13 @@ class _System:
 
     def tested(self) -> tuple[Candidate, ...]:
         """All causes, with the smallest change that is seen with the stated power."""
-        tests, tested = self.tests(()), []
+        tests, tested = self.tests(()), dict[tuple[str, str], Candidate]()
         for i in range(len(self.causes.causes)):
             one = self.causes.candidate(i)
             if self._rows(i).size and (p := tests.get(int(self.group[i]))) is not None:
                 one = replace(one, p_value=p, smallest=self.smallest(i))
-            tested.append(one)
-        return tuple(tested)
+            tested.setdefault(self.causes.causes[i].called, one)
+        return tuple(tested.values())
 
 
 def _groups(causes: _Causes, alike: Array, visible: NDArray[np.bool_]) -> NDArray[np.intp]:

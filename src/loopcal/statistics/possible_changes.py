@@ -131,9 +131,15 @@ class Possible:
         """SI unit of each of its parts."""
         return self.units or tuple(unit_of(problem, name) for name in self.names)
 
+    @property
+    def called(self) -> tuple[str, str]:
+        """What it is: a load in one part is the same change as in several."""
+        return self.name, self.kind
+
     def within(self, whole: Possible) -> bool:
-        """Whether it is a part of another one, as a focal length is of all."""
-        return not whole.parts and {*self.names} < {*whole.names}
+        """Whether it is a part of another one, as a focal length is of all, or the same."""
+        part = not whole.parts and {*self.names} < {*whole.names}
+        return part or self.called == whole.called
 
     @property
     def often(self) -> bool:
@@ -413,27 +419,41 @@ def _loads(problem: Problem) -> Iterator[Possible]:
         yield Possible("load", structure.loaded, ramps=False, label="the load")
 
 
-def as_learnt(one: Possible, prior_sd: Array, linear: Linearised) -> Possible:
-    """A load without mass in the directions that these poses show; any other cause as it is.
+def as_learnt(
+    one: Possible, prior_sd: Array, covariance: Array, linear: Linearised
+) -> tuple[Possible, ...]:
+    """A load without mass in one part, and in the directions that these poses show; any other cause
+    as it is.
 
-    prior_sd: (n_all,) of the parameters; each column of the sag has changed by about its own. Of
-    these independent changes the parts are the principal ones that a heavy load lifts out of the
-    noise: as single columns, of which most do next to nothing, it costs so much that a scale is
-    named in its place.
+    prior_sd (n_all,), covariance (n_all, n_all): of the parameters. One weight at the tool bends
+    each joint in proportion to what was learnt of it: the root mean square of each column. Where
+    nothing was, by its usual sd. In several parts each column of the sag has changed by about its
+    own prior sd. Of these independent changes the parts are the principal ones that a heavy load
+    lifts out of the noise: as single columns, of which most do next to nothing, it costs so much
+    that a scale is named in its place.
     """
     placement, names = linear.placement, linear.placement.problem.mechanism.parameters.names
     if one.kind != "load" or len(one.names) == 1:
-        return one
-    learnt = prior_sd[[names.index(n) for n in one.names]]
+        return (one,)
+    rows = [names.index(n) for n in one.names]
+    learnt = prior_sd[rows]
     if not np.isfinite(learnt).all():
-        return one
+        return (one,)
+    sds = np.sqrt(np.diag(covariance)[rows])
+    size = np.where(sds > 0.0, np.hypot(placement.parameters[rows], sds), learnt)
     U = placement.columns(one.names) * learnt / np.sqrt(linear.factor)
     U = U - linear.F @ (linear.solve @ U)
     information, V = np.linalg.eigh(linear.weighed(U, U))
     seen = information > min(1.0 / HEAVY**2, 0.5 * information[-1])
-    steps = (learnt[:, None] * V[:, seen]).T.tolist()
-    parts = tuple(tuple(zip(one.names, step, strict=True)) for step in steps)
-    return replace(one, parts=parts, units=("1",) * len(parts))
+    ways = (size[None], learnt * V[:, seen].T)
+    return tuple(
+        replace(
+            one,
+            parts=tuple(tuple(zip(one.names, part.tolist(), strict=True)) for part in way),
+            units=("1",) * len(way),
+        )
+        for way in ways
+    )
 
 
 def _expansion(problem: Problem) -> Iterator[Possible]:

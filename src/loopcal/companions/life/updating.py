@@ -66,6 +66,7 @@ from loopcal.statistics.gauge import values_of
 from loopcal.statistics.later_corners import fitting_corners
 from loopcal.statistics.replacing import Replaced, freed
 from loopcal.statistics.station_scales import by_same_stations
+from loopcal.statistics.verification import verified
 from loopcal.statistics.verified import Verification
 
 _MIXED = "The update mixes both machines. Calibrate anew, or state the drift that is expected."
@@ -140,6 +141,7 @@ def updated(
             code="missing-sd",
             remedy="give noise, or update a calibration by another method",
         )
+    calibrated = _bearing(calibrated, data, since, stated)
     calibrated = calibrated.stationed if since.moved else calibrated
     data = fitting_corners(calibrated, data, stated, since.remounted)
     calibrated = replace(calibrated, residual=None)
@@ -202,6 +204,18 @@ def updated(
         result = result.noted(_TWICE.format(poses=again))
     done = Updated(result, allowance.check)
     return done if done.mixed is None else replace(done, result=result.noted(done.mixed))
+
+
+def _bearing(
+    calibrated: Calibrated, data: Dataset, since: Since, noise: Noise | None
+) -> Calibrated:
+    """The calibration such that another load can be followed, where a check names one."""
+    bearing = calibrated.bearing
+    if bearing is calibrated:
+        return calibrated
+    what = verified(bearing.stationed, data, noise, since.remounted).changes
+    named = () if what is None else what.found
+    return bearing if any("load" in change.kinds for change in named) else calibrated
 
 
 def _fitted(

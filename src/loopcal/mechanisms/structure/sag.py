@@ -512,13 +512,14 @@ def _alike(one: Array, other: Array, size: float) -> bool:
 @dataclass(frozen=True)
 class Structure:
     """sag: the arm that gives way, by these columns, None where it does not; smooth: by body, what
-    its discrepancy is made of; joints: those with harmonics.
+    its discrepancy is made of; joints: those with harmonics; plain: the `Mechanism` without it.
     """
 
     sag: Sag | None = None
     columns: tuple[Column, ...] = ()
     smooth: Mapping[str, Smooth] = field(default_factory=dict)
     joints: tuple[str, ...] = ()
+    plain: Any = field(default=None, repr=False, compare=False)
 
     @property
     def loaded(self) -> tuple[str, ...]:

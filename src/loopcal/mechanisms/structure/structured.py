@@ -25,7 +25,7 @@ from loopcal.mechanisms.machine import ENDS
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import Parameter, Parameters, matching
 from loopcal.mechanisms.serial import places_itself
-from loopcal.mechanisms.structure.sag import COUPLINGS, Branch, Column, Sag, Stands, Structure
+from loopcal.mechanisms.structure.sag import COUPLINGS, TOOL, Branch, Column, Sag, Stands, Structure
 from loopcal.mechanisms.structure.smooth import DISCREPANCY, FEATURES, Smooth
 from loopcal.mechanisms.terms import Term
 
@@ -131,7 +131,7 @@ def structured(
     joints: list[str] = []
     if harmonics:
         made, joints = _with_drives(made)
-    structure = Structure(arm if columns else None, columns, smooth, tuple(joints))
+    structure = Structure(arm if columns else None, columns, smooth, tuple(joints), mechanism)
     made = _with_awaiting(replace(made, structure=structure))
     arguments = {"sag": sag, "harmonics": harmonics, "discrepancy": discrepancy}
     stated = {k: v for k, v in described(structured, arguments).items() if k != "type"}
@@ -168,6 +168,28 @@ def without(
         harmonics=any(term.name in DRIVES for term in kept),
         discrepancy=max((len(smooth.harmonics) for smooth in remaining), default=False),
     )
+
+
+def bearing(mechanism: Mechanism) -> Mechanism:
+    """The mechanism with the sag that another load on its tool causes, nominally 0, where its model
+    error has none; any other mechanism as it is."""
+    structure = mechanism.structure
+    if structure is None or structure.plain is None or structure.loaded:
+        return mechanism
+    plain: Mechanism = structure.plain
+    if (arm := _arm(plain)) is None:
+        return mechanism
+    at_tool = (c for c in arm.columns(_turned(plain)) if c.load == TOOL)
+    made = structured(
+        plain,
+        sag=tuple(c.parameter for c in (*structure.columns, *at_tool)),
+        harmonics=bool(structure.joints),
+        discrepancy=max((len(one.harmonics) for one in structure.smooth.values()), default=False),
+    )
+    before = {p.name: p for p in mechanism.parameters}
+    if not before.keys() <= {*made.parameters.names}:  # what was added since would be lost
+        return mechanism
+    return made.with_parameters(Parameters(tuple(before.get(p.name, p) for p in made.parameters)))
 
 
 def _has_roles(mechanism: Mechanism) -> bool:
