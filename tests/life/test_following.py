@@ -13,6 +13,7 @@ import pytest
 import loopcal as lc
 from analyses.followed import ALLOWED, LATER, ZERO, Days, moved
 from analyses.gauntlet_worlds import World
+from analyses.planning import cases
 from loopcal.companions.life.drift import Drifting
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.mechanisms.instruments.point import point
@@ -194,3 +195,28 @@ def test_the_zero_of_a_joint_that_others_follow_is_followed_with_theirs() -> Non
     assert not any("mixes both machines" in words for words in updated.warnings)
     change = {n: updated.value[n] - first.value[n] for n in ("q2_ry", "elbow_ry")}
     assert change == pytest.approx({"q2_ry": 1e-3, "elbow_ry": -1e-3}, abs=2e-4)
+
+
+def test_a_zero_that_the_poses_hardly_show_is_followed_with_those_that_explain_it() -> None:
+    """The check asked for an update, which said "mixes both machines: calibrate anew"."""
+    case = cases()["Stewart-Gough"]
+    noise = lc.Noise({**case.noise, "x": 15e-6, "y": 15e-6, "z": 15e-6})
+    rng, parameters = np.random.default_rng(3), case.mechanism.parameters
+    truth = {n: parameters[n].nominal + rng.normal(0.0, 3e-4) for n in parameters.free}
+
+    def day(seed: int, poses: int) -> lc.Dataset:
+        where = lc.random_poses(case.ranges, poses, seed=seed)
+        return lc.simulate(case.mechanism, where, noise=noise, seed=seed, truth=truth).dataset
+
+    first = lc.calibrate(case.mechanism, day(1, 60), noise=noise, method="implicit-loop")
+    later = day(3, 15)
+    later = later.with_readings({"leg_3": later["leg_3"] - 1.2e-4})
+    check = lc.verify(first, later)
+    assert check.changes is not None
+    (change,) = check.changes.found
+    assert change.zeros[0] == "leg_3"
+    assert len(change.zeros) > 1
+    assert change.p_value > 1e-3
+    words = " ".join(lc.update(first, later).warnings)
+    assert "The update estimates the zero of leg_3 and " in words
+    assert "mixes" not in words

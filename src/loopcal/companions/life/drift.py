@@ -123,8 +123,8 @@ def allowed(calibrated: Calibrated, data: Dataset, since: Since, noise: Noise | 
         check = allowance.check
         named = () if check.changes is None else check.changes.found
         sure = [change for change in named if change.p_value < _SURE]
-        # One that the poses hardly show is followed where it is the zero of one joint alone.
-        changes = sure or [change for change in named if len(change.zeros) == 1]
+        # One that the poses hardly show is followed where zeros of joints explain it.
+        changes = sure or [change for change in named if change.zeros]
         every_move = {} if check.changes is None else check.changes.moved
         sds = drifting.followed(changes, every_move)
         if allowance.consistent or not sds or not all(within is None or n in within for n in sds):
@@ -132,7 +132,7 @@ def allowed(calibrated: Calibrated, data: Dataset, since: Since, noise: Noise | 
         moved = check.changes.moved if check.changes and len(changes) == len(named) else {}
         columns = drifting.halfway(moved).columns(sds)
         wider = checked(np.hstack([allowance.drift, columns]), moved)
-        words = tuple(followed_words(change) for change in changes)
+        words = tuple(followed_words(change, sds) for change in changes)
         return replace(wider, words=words) if wider.explained else allowance
 
     every = checked(drifting.columns(drifting.stated(since.drift)))
@@ -214,7 +214,7 @@ class Drifting:
                 sds[_TOOLS] = abs(change.value)
             if "load" in change.kinds:
                 sds |= self._loaded
-            for cause in causes_of(change):
+            for cause in causes_of(change, self._steps):
                 other = cause != change.name and cause not in change.parts
                 unit = mechanism.quantities.get(cause, "1")
                 size = shift_sd(unit) if other else abs(change.value)
@@ -331,22 +331,22 @@ class Drifting:
         return dict(zip(names, (*x, *problem.pose_constants), strict=True))
 
 
-def causes_of(change: Change) -> tuple[str, ...]:
+def causes_of(change: Change, able: Container[str]) -> tuple[str, ...]:
     """What an update estimates of a change, but for a load: joints whose zero explains it, else
     what was named, and growth where that explains it as well.
 
-    A joint's zero moves more easily than its other parameters change.
+    A joint's zero moves more easily than its other parameters change. able: what the parameters can
+    follow; growth beside zeros is left out where they cannot.
     """
-    grown = (EXPANSION,) if "expansion" in change.kinds else ()
-    if change.kind == "zero":
-        return (change.name, *grown)
+    grows = "expansion" in change.kinds and (EXPANSION in able or not change.zeros)
+    grown = (EXPANSION,) if grows else ()
     named = () if change.kind in CONDITIONAL else (*change.parts, *change.hidden) or (change.name,)
     return (*(change.zeros or named), *grown)
 
 
-def followed_words(change: Change) -> str:
-    """That an update follows this change, in two sentences."""
-    causes = causes_of(change)
+def followed_words(change: Change, followed: Container[str]) -> str:
+    """That an update follows this change, in two sentences; followed: what it estimates anew."""
+    causes = causes_of(change, followed)
     joints = " and ".join(name for name in causes if name in change.zeros)
     every = [f"the zero of {joints}"] if joints else []
     every += ["the load"] if "load" in change.kinds else []
