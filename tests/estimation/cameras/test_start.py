@@ -139,11 +139,12 @@ def test_two_cameras_agree_on_the_pose_that_few_markers_leave_open(seed: int) ->
     assert begun.intrinsics["left"].fx == pytest.approx(8000.0, rel=0.06)
 
 
-def test_a_view_that_loses_its_pose_with_another_lens_is_left_out() -> None:
-    true = shots(127, images=12, noise=0.4)
+@pytest.mark.parametrize("seed", [109, 110])
+def test_a_view_that_loses_its_pose_with_another_lens_is_left_out(seed: int) -> None:
+    true = shots(seed, images=12, noise=0.4)
     k = true.corners.point
     few = (k % COLUMNS < 3) & (k // COLUMNS < 3)
-    few &= np.random.default_rng(127).random(len(k)) < 0.75
+    few &= np.random.default_rng(seed).random(len(k)) < 0.75
     begun = start(true.corners.where(few), None, None, true.sizes, free=EVERY)
     assert 8 <= len(begun.corners.views) < 12
     assert begun.rms < 1.0
