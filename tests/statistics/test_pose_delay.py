@@ -15,6 +15,8 @@ from loopcal.statistics.change_points import find_shifts
 from loopcal.statistics.verdict import findings_of
 from tests.reference.simulated import planar_arm
 from tests.statistics.test_camera_changes import LENS, PLACE, POINTS, SDS
+from tests.statistics.test_change_points import ARM, NOISE, joints
+from tests.statistics.test_change_points import read as read_by_tracker
 from tests.statistics.test_comparison import sds_of
 from tests.statistics.test_verdict import depends
 
@@ -170,3 +172,20 @@ def test_another_day_of_the_right_moment_has_no_delay(seed: int) -> None:
     found = lc.verify(calibrated(0), read(0, seed))
     assert found.changes is not None
     assert not found.changes.found
+
+
+@pytest.mark.parametrize("play", [2e-4, 4e-4])
+def test_play_of_the_joints_is_no_delay_of_another_day(play: float) -> None:
+    """Beside a zero that moved, 36 of 40 such days were "not of one moment"."""
+
+    def day(poses: int, seed: int, zero: float = 0.0) -> lc.Dataset:
+        data = read_by_tracker(joints(poses, seed), seed)
+        moved = {f"theta_{i}": data[f"theta_{i}"] for i in range(1, 7)}
+        moved = {q: x + 0.5 * play * np.sign(np.diff(x, prepend=-9.0)) for q, x in moved.items()}
+        return data.with_readings({**moved, "theta_3": moved["theta_3"] - zero})
+
+    first = lc.calibrate(ARM, day(80, 1), noise=NOISE, method="auto")
+    for seed in range(40, 45):
+        found = lc.verify(first, day(30, seed, 1e-3))
+        assert found.changes is not None
+        assert [change.kind for change in found.changes.found] == ["zero"]

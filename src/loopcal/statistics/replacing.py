@@ -197,7 +197,9 @@ class Replaced:
         columns = []
         for name, stem in zip(names, stems, strict=True):
             if name in WAYS:
-                way = ways(self.problem, WAYS[name])[self.row_poses]
+                way = ways(self.problem, WAYS[name])
+                # Play errs by the sign of the way, and no play must look like a delay.
+                way = (way - np.abs(way).mean(axis=0) * np.sign(way))[self.row_poses]
                 columns.append(sum(zeros[q] * way[:, i] for i, q in enumerate(joints)))
             elif stem not in zeros:
                 columns.append(self.J[:, parameters.index(name)])
