@@ -218,12 +218,12 @@ class Calibrated:
         return replace(self.through(made, E), nominal=E @ self.nominal, prior_sd=prior_sd)
 
     @property
-    def bearing(self) -> Calibrated:
+    def loadable(self) -> Calibrated:
         """The same as a machine that may give way under another load, by as much as arms usually
         do, where it was calibrated without such sag."""
-        from loopcal.mechanisms.structure.structured import bearing
+        from loopcal.mechanisms.structure.structured import loadable
 
-        if (made := bearing(self.mechanism)) is self.mechanism:
+        if (made := loadable(self.mechanism)) is self.mechanism:
             return self
         E = np.equal.outer(made.parameters.names, self.mechanism.parameters.names).astype(float)
         usual = {name: term.sd for term in made.terms for name in term.parameters}

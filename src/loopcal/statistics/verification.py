@@ -81,7 +81,7 @@ def verify(
     data = data.dataset if isinstance(data, FitResult) else data
     data = data if isinstance(data, Dataset) else Dataset.from_arrays(data)
     check_tolerance(tolerance)
-    calibrated, stated = calibrated.bearing.stationed, Noise.of(noise)
+    calibrated, stated = calibrated.loadable.stationed, Noise.of(noise)
     data = fitting_corners(calibrated, data, stated, remounted)
     return verified(calibrated, data, stated, remounted, tolerance)
 

@@ -141,7 +141,7 @@ def updated(
             code="missing-sd",
             remedy="give noise, or update a calibration by another method",
         )
-    calibrated = _bearing(calibrated, data, since, stated)
+    calibrated = _loadable(calibrated, data, since, stated)
     calibrated = calibrated.stationed if since.moved else calibrated
     data = fitting_corners(calibrated, data, stated, since.remounted)
     calibrated = replace(calibrated, residual=None)
@@ -206,16 +206,16 @@ def updated(
     return done if done.mixed is None else replace(done, result=result.noted(done.mixed))
 
 
-def _bearing(
+def _loadable(
     calibrated: Calibrated, data: Dataset, since: Since, noise: Noise | None
 ) -> Calibrated:
     """The calibration such that another load can be followed, where a check names one."""
-    bearing = calibrated.bearing
-    if bearing is calibrated:
+    loadable = calibrated.loadable
+    if loadable is calibrated:
         return calibrated
-    what = verified(bearing.stationed, data, noise, since.remounted).changes
+    what = verified(loadable.stationed, data, noise, since.remounted).changes
     named = () if what is None else what.found
-    return bearing if any("load" in change.kinds for change in named) else calibrated
+    return loadable if any("load" in change.kinds for change in named) else calibrated
 
 
 def _fitted(

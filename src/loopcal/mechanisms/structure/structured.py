@@ -170,7 +170,7 @@ def without(
     )
 
 
-def bearing(mechanism: Mechanism) -> Mechanism:
+def loadable(mechanism: Mechanism) -> Mechanism:
     """The mechanism with the sag that another load on its tool causes, nominally 0, where its model
     error has none; any other mechanism as it is."""
     structure = mechanism.structure
