@@ -62,5 +62,20 @@ def test_targets_on_a_grid_are_no_coarse_readings():
     assert result.document.data.coarse == ()
 
 
+def test_learnt_sds_below_the_rounding_show_targets():
+    """Joints sent to multiples of 0.01 deg reach them within 30 urad; their rounding is 50 urad."""
+    step, sds = np.radians(0.01), SDS | {"phi2": 3e-5, "phi3": 3e-5}
+    targets = {q: np.round(ARM.read(SDS, 1).readings[q] / step) * step for q in ("phi2", "phi3")}
+    noise = lc.Noise(SDS, estimate={"phi*": "group"})
+    for seed in range(25000, 25004):
+        rng = np.random.default_rng(seed)
+        reached = {q: v + 3e-5 * rng.standard_normal(v.size) for q, v in targets.items()}
+        read = lc.simulate(ARM.truth, reached, noise=lc.Noise(sds), seed=seed).dataset.readings
+        written = {q: from_si(v, UNITS[q]) for q, v in {**read, **targets}.items()}
+        data = lc.Dataset.from_arrays(written, units=UNITS)
+        result = lc.calibrate(ARM.truth, data, noise=noise, method="implicit-loop")
+        assert result.document.data.coarse == ()
+
+
 def test_real_numbers_have_no_step():
     assert recorded_step(ARM.read(SDS, 1), "phi2") == 0.0

@@ -126,9 +126,9 @@ def coarse_readings(
 ) -> tuple[CoarseReadings, ...]:
     """Quantities whose rounding makes a quarter or more of the variance of their readings.
 
-    equations: of every pose where the fit ended. Corrections far smaller than the rounding show
-    that the column holds targets on a grid. They do not where an error of the model took their
-    place, as large as the rounding would make it.
+    equations: of every pose where the fit ended. Corrections smaller than the rounding (by two sds
+    of a learnt sd, by half of a stated one) show that the column holds targets on a grid. They do
+    not where an error of the model took their place, as large as the rounding would make it.
     """
     coarse: dict[tuple[str, float], list[str]] = {}
     instead: dict[tuple[str, float], list[str]] = {}
@@ -142,7 +142,9 @@ def coarse_readings(
                 continue
             step = recorded_step(data, quantity, entry.unit)
             sd = rounding_sd(step)
-            if sd > 0.0 and shown >= _COARSE * sd >= _COARSE**2 * entry.sd:
+            unsure = math.inf if entry.sd_of_sd is None else entry.sd_of_sd
+            least = max(_COARSE * sd, sd - 2.0 * unsure)
+            if shown >= least and sd > 0.0 and sd >= _COARSE * entry.sd:
                 coarse.setdefault((entry.unit, step), []).append(quantity)
             elif sd > _COARSE * entry.sd and (modelled or not entry.sd):
                 instead.setdefault((entry.unit, step), []).append(quantity)

@@ -48,7 +48,7 @@ def test_bytes_outside_the_numbers_stay(end: bytes, bom: bytes) -> None:
 
 def test_degrees_in_a_column_of_radians_are_refused() -> None:
     axes = JointAxes({"a": "rad", "z": "m"}, {})
-    for head, a in (("a", "6.2"), ("a [deg]", "60")):
+    for head, a in (("a", "6.2"), ("a [deg]", "60"), ("A_deg", "60"), ("a (deg)", "60")):
         table = text_of(f"{head},z\n{a},0.5\n".encode(), "t.csv")
         assert read_table(table, "t.csv", axes).targets[0].joints is not None
     with refused("implausible-unit", "t.csv, line 2", "60 rad", "'a [deg]'"):

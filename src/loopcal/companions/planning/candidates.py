@@ -39,8 +39,9 @@ from loopcal.mechanisms.station import Station
 from loopcal.simulation.poses import random_poses
 from loopcal.simulation.simulate import simulate, within_reach
 
-STEP = {"rad": math.radians(0.01), "m": 1e-5}
-"""Steps of random readings [SI]."""
+STEP = {"rad": math.radians(1e-3), "m": 1e-6}
+"""Steps of random readings [SI]: of coarser ones a calibration could not tell that they were no
+rounded readings."""
 _QUARTER = 0.5 * math.pi
 # What a message offers as a line to copy.
 _EXAMPLES = {

@@ -31,6 +31,7 @@ from loopcal.companions.robot.programs.program import (
     written,
 )
 from loopcal.errors import InputError, listed
+from loopcal.files.recognition.headers import heading, stem
 from loopcal.files.tables.cells import number
 from loopcal.files.tables.delimited import WHITESPACE, Dialect, Row, recognise
 from loopcal.files.tables.reader import Layout
@@ -85,7 +86,7 @@ def read_table(text: str, name: str, axes: JointAxes) -> Program:
             code="missing-column",
             place=name,
             remedy=f"name columns {_wanted(axes)}, or the columns of a pose "
-            f"({', '.join(_TURNS[:3])}, ...)",
+            f"({', '.join(_TURNS[:3])}, ...) with their units",
         )
     at = {n: start for n, start, _ in lines}
     move = next((i for i, n in enumerate(dialect.names) if n.strip().lower() == "move"), None)
@@ -108,18 +109,10 @@ def _rows(text: str) -> list[tuple[int, int, str]]:
     return [(n, line.start(), line[1]) for n, line in enumerate(lines, 1)]
 
 
-def _heading(name: str) -> tuple[str, str | None]:
-    """The text and the unit of "TEXT [UNIT]"; None without a unit."""
-    text, bracket, unit_name = name.strip().removesuffix("]").partition("[")
-    if not bracket or not name.rstrip().endswith("]"):
-        return name.strip(), None
-    return text.strip(), unit_name.strip()
-
-
 def _joints(dialect: Dialect, axes: JointAxes, name: str) -> dict[str, _Cell]:
     """The columns of the joints that are there."""
     cells: dict[str, _Cell] = {}
-    headings = [_heading(n) for n in dialect.names]
+    headings = [heading(n) for n in dialect.names]
     for joint, si in axes.joints.items():
         column = axes.columns.get(joint)
         if column is not None and isinstance(column.column, int) and column.column > 0:
@@ -127,9 +120,10 @@ def _joints(dialect: Dialect, axes: JointAxes, name: str) -> dict[str, _Cell]:
         elif column is not None and column.column in dialect.names:
             cells[joint] = _Cell(dialect.names.index(str(column.column)), column.unit or si)
         else:
-            for i, (text, stated) in enumerate(headings):
-                if text == joint:
-                    cells[joint] = _Cell(i, stated or si)
+            names = {stem(joint)} | ({heading(str(column.column)).stem} if column else set())
+            for i, head in enumerate(headings):
+                if head.stem in names:
+                    cells[joint] = _Cell(i, head.unit or si)
     for joint, cell in cells.items():
         if unit(cell.unit).si != axes.joints[joint]:
             raise InputError(
@@ -143,8 +137,8 @@ def _joints(dialect: Dialect, axes: JointAxes, name: str) -> dict[str, _Cell]:
 
 def _pose_columns(dialect: Dialect, name: str) -> tuple[list[_Cell], bool]:
     """The columns of the pose in their order, and whether it is a quaternion; empty: none."""
-    headings = [_heading(n) for n in dialect.names]
-    by_heading = {text.lower(): (i, stated) for i, (text, stated) in enumerate(headings)}
+    headings = [heading(n) for n in dialect.names]
+    by_heading = {head.stem: (i, head.unit) for i, head in enumerate(headings)}
     if not any(n in by_heading for n in _TURNS):
         return [], False
     quaternion = "tcp_qw" in by_heading
