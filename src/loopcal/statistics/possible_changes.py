@@ -402,8 +402,10 @@ def _turn(axis: int, angle: float) -> Array:
 
 
 def _dimensions(problem: Problem) -> Iterator[Possible]:
+    """What is added to the reading of a joint is the zero of this joint, and no other cause."""
+    joints = {*driven_joints(problem.mechanism)}
     for p in problem.mechanism.parameters:
-        if p.role in GEOMETRY and not p.same:
+        if p.role in GEOMETRY and not p.same and not (p.role == "zero" and p.owner in joints):
             yield Possible(p.dimension or p.role, (p.name,))
 
 
