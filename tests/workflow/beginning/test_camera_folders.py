@@ -362,6 +362,10 @@ def test_images_of_other_numbers_belong_to_rows_in_their_order() -> None:
     # Those that begin at 1 are named as rows are.
     table = CornerTable(("1", "2"), ("1",) * 2, ("board",) * 2, ("0", "1"), uv, uv)
     assert matched(table, [board], ["1", "2", "3"], counted=True)[1] == ()
+    # Rows that have times in place of names are counted all the same.
+    table = CornerTable(("im_3", "im_2"), ("1",) * 2, ("board",) * 2, ("0", "1"), uv, uv)
+    after, _ = matched(table, [board], ["0.2", "0.3", "0.7"], counted=True)
+    assert after.image == ("0.7", "0.3")
 
 
 def test_what_is_stated_of_a_lens_and_cannot_be_used_is_said(tmp_path: Path) -> None:

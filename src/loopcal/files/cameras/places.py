@@ -180,9 +180,9 @@ def _turned_about_z(source: Source) -> dict[str, Array]:
     T = np.tile(np.eye(4), (len(source), 1, 1))
     T[:, :3, 3] = np.array([unit(by[a].unit or "m").factor * by[a].values for a in "xyz"]).T
     c, s = np.cos(angle), np.sin(angle)
-    other = T.copy()
     T[:, :2, :2] = np.moveaxis(np.array([[c, -s], [s, c]]), 2, 0)
-    other[:, :2, :2] = np.moveaxis(np.array([[c, s], [-s, c]]), 2, 0)
+    other = T.copy()
+    other[:, :3, :3] = np.swapaxes(T[:, :3, :3], 1, 2)
     return {f"{turn.label} about z": T, f"{turn.label} about -z": other}
 
 

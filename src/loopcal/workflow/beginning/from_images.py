@@ -301,7 +301,7 @@ def matched(
     by, how = _by_time(table.images, poses), "poses nearest in time"
     if not by and counted:
         by, how = _by_row(table.images, poses), "poses in the order of their rows"
-    if not by and poses and {*poses}.isdisjoint(table.image):
+    elif not by and poses and {*poses}.isdisjoint(table.image):
         by, how = _by_number(table.images, poses), "poses of the same number"
     if by:
         first = next(iter(by.items()))
@@ -350,14 +350,14 @@ def _by_time(images: Sequence[str], poses: Sequence[str]) -> Mapping[str, str]:
 
 
 def _by_row(images: Sequence[str], poses: Sequence[str]) -> Mapping[str, str]:
-    """Image -> pose, whose rows have no names: images that count from 0 or 1, or as many of any
-    other numbers; empty where numbers say nothing."""
+    """Image -> pose, whose rows have no names: images that count rows from 0, or from 1, or as many
+    of any other numbers; empty where numbers say nothing."""
     numbers = {name: n for name in images if (n := _last_number(name)) is not None}
     every = sorted(numbers.values())
     if len({*every}) < len(images) or not every:
         return {}
-    first = every[0]
-    if first in (0, 1) and every[-1] < len(poses) + first:
+    first = min(every[0], 1)
+    if every[-1] < len(poses) + first:
         by = {name: poses[n - first] for name, n in numbers.items()}
         return {name: pose for name, pose in by.items() if name != pose}
     if len(images) == len(poses) and every[-1] > len(poses):
