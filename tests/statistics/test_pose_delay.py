@@ -134,8 +134,11 @@ def test_a_robot_that_states_poses_of_its_flange_is_sent_to_images_and_not_to_pl
     assert not any((step.command or "").startswith("loopcal plan") for step in steps)
 
 
-def test_a_robot_whose_poses_err_alike_is_asked_for_its_joints() -> None:
+@pytest.mark.parametrize("exact", [False, True])
+def test_a_robot_whose_poses_err_alike_is_asked_for_its_joints(exact: bool) -> None:
+    """As by least squares, which takes the poses as exact and has no noise of them."""
     document = replace(calibrated(0).document, dependence=depends(1.0, 1e-9))
+    document = replace(document, noise=()) if exact else document
     (one,) = (f for f in findings_of(document, files=FILES) if f.code == "model-incomplete")
     assert one.next is not None
     assert one.next.words.startswith("State the joints in place of the poses")

@@ -150,6 +150,16 @@ def test_every_finding_has_its_answer(code: str) -> None:
     assert found.grade == ("bad" if passed is False else "care")
 
 
+def test_a_focal_length_that_images_hardly_show_leaves_the_result_open() -> None:
+    def found(sd: float) -> dict[str, Any]:
+        focal = replace(clean().parameters[0], name="eye_f", unit="px", value=1400.0, sd=sd)
+        every = findings_of(replace(clean(), parameters=(*clean().parameters, focal)))
+        return {one.code: one for one in every}
+
+    assert "focal-length-unsure" not in found(69.0)
+    assert "eye_f is 1400 px ± 71 px" in found(71.0)["focal-length-unsure"].words
+
+
 def test_halves_of_the_images_may_differ_by_three_sds_in_the_focal_length() -> None:
     def codes(*halves: HalvesEntry) -> list[str]:
         return [one.code for one in findings_of(replace(clean(), halves=halves))]

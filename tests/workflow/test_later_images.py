@@ -22,6 +22,10 @@ from tests.refusals import refused
 from tests.workflow.beginning.test_from_images import written
 
 COUNT, SD = 12, 0.1
+SPREAD = {name: name for name in ("pose", "camera", "board", "point", "u", "v")}
+JOINED = {"file": "corners.csv", "pose": "pose", "spread": SPREAD}
+INPUTS = {"data": {"file": "readings.csv", "pose": "pose", "join": [JOINED]}}
+"""As `init` writes them."""
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +37,7 @@ def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
     data = lc.Dataset.from_arrays(readings(T, uv))
     result = lc.calibrate(mechanism("base"), data, noise=noise, method="implicit-loop")
     folder = tmp_path_factory.mktemp("days") / "result"
-    write_result(result, folder, title="camera", inputs={}, warnings=())
+    write_result(result, folder, title="camera", inputs=INPUTS, warnings=())
     return folder
 
 

@@ -30,6 +30,15 @@ OF_IMAGES = (
         detail="An industrial arm is off by a fifth of that before it is calibrated. Unless yours "
         "is that loose, something else is wrong.",
     ),
+    Row(
+        "sound",
+        "caution",
+        "focal-length-unsure",
+        "The images hardly show the focal length: {place.parameters} is {f} ± {sd:2}. Distances "
+        "from the camera are as unsure.",
+        "Tilt the board by 20 to 45 deg, or take images at half and at twice the distance.",
+        _REPORT,
+    ),
     _not_sound(
         "halves-disagree",
         "Two halves of the images, fitted apart, disagree: {place.parameters} is {first} by one "

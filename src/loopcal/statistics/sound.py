@@ -46,6 +46,9 @@ LEAST_SHARE = 0.2
 # Three sds of a normal distribution, both sides.
 APART = 0.0027
 """How rarely two halves of honest images may put a parameter so far apart."""
+# Chosen, not derived: lenses are sold with such tolerances.
+LABEL = 0.05
+"""Share of a focal length from which its sd is no better than what is printed on the lens."""
 # Five times what poses of an arm are off whose lengths err by 0.5 mm, and zeros by 0.1 degrees.
 CONTRADICT = 5e-3
 """Angle [rad] from where images see a board to where the machine says: a result is open."""
@@ -362,6 +365,16 @@ def _contradict(document: ResultDocument) -> Fact | None:
     )
 
 
+def _focal(document: ResultDocument) -> Fact | None:
+    """The focal length that is known worst, where the label of a lens says as much."""
+    lenses = [p for p in document.parameters if p.unit == "px" and p.name.endswith("_f") and p.sd]
+    worst = max(lenses, key=lambda p: (p.sd or 0.0) / abs(p.value), default=None)
+    if worst is None or (worst.sd or 0.0) < LABEL * abs(worst.value):
+        return None
+    numbers = {"f": Figure(worst.value, worst.unit), "sd": Figure(worst.sd or 0.0, worst.unit)}
+    return fact("focal-length-unsure", Where(parameters=(worst.name,)), numbers)
+
+
 def _undetermined(document: ResultDocument) -> Fact | None:
     loose = tuple(sorted(document.identifiability.loose))
     if not loose:
@@ -409,6 +422,7 @@ SOUND: tuple[Callable[[ResultDocument], Fact | None], ...] = (
     _mounting,
     _delayed,
     _contradict,
+    _focal,
     _halves,
     _optima,
     _undetermined,

@@ -91,8 +91,8 @@ def _images_to_take(document: ResultDocument) -> str:
     if _cameras_alone(document):
         return _MORE_IMAGES
     accuracy = document.accuracy
-    read = {q for entry in document.noise if entry.role == "reading" for q in entry.quantities}
-    return _MORE_OF_A_HAND if accuracy and accuracy.places and {*TURNS} <= read else ""
+    read = {*TURNS} <= document.mechanism.quantities.keys()
+    return _MORE_OF_A_HAND if accuracy and accuracy.places and read else ""
 
 
 def _cameras_alone(document: ResultDocument) -> bool:

@@ -153,16 +153,37 @@ def test_intrinsics_of_images_of_another_size(width: float, words: str) -> None:
     assert words in fact.sentence
 
 
-def test_rectified_images_beside_the_distortion_of_raw_ones() -> None:
+@pytest.mark.parametrize("by_P", [False, True])
+def test_rectified_images_beside_the_distortion_of_raw_ones(by_P: bool) -> None:
     true = shots(41)
     lens = true.intrinsics["cam"]
+    f, cx, cy = (0.85 * lens.fx, lens.cx - 20.0, lens.cy + 9.0) if by_P else lens_of(lens)
     P = Scene((lens,), true.X[None], true.Y[None], A=true.T).in_camera(true.corners)
-    seen = lens.fx * P[:, :2] / P[:, 2:] + [lens.cx, lens.cy]
+    seen = f * P[:, :2] / P[:, 2:] + [cx, cy]
     seen += np.random.default_rng(41).normal(0.0, 0.2, seen.shape)
-    stated = Intrinsics("brown5", lens.fx, lens.fx, lens.cx, lens.cy, (-0.3, 0.1, 0.0, 0.0, 0.0))
+    bent = (-0.3, 0.1, 0.0, 0.0, 0.0)
+    stated = Intrinsics("brown5", lens.fx, lens.fx, lens.cx, lens.cy, bent, None, (f, f, cx, cy))
     begun = true.start(corners=true.corners.at(seen), intrinsics={"cam": stated})
-    assert [fact.code for fact in begun.facts if fact.applied] == ["images-rectified"]
+    (fact,) = (fact for fact in begun.facts if fact.applied)
+    assert fact.code == "images-rectified"
+    assert ("by the stated P" in fact.sentence) == by_P
+    assert begun.intrinsics_stated["cam"].fx == f
     assert not any(begun.intrinsics_stated["cam"].distortion)
+
+
+def lens_of(lens: Intrinsics) -> tuple[float, float, float]:
+    return lens.fx, lens.cx, lens.cy
+
+
+def test_images_that_were_cut() -> None:
+    true = shots(41)
+    lens = true.intrinsics["cam"]
+    whole = replace(lens, cx=lens.cx + 300.0, cy=lens.cy + 250.0, image=(SIZE[0] + 500, SIZE[1]))
+    begun = true.start(intrinsics={"cam": whole})
+    assert [fact.code for fact in begun.facts if fact.applied] == ["principal-point"]
+    now = begun.intrinsics_stated["cam"]
+    assert (now.cx, now.cy) == pytest.approx((lens.cx, lens.cy), abs=20.0)
+    assert now.image is None
 
 
 def test_an_image_is_off_where_it_is_in_pixels_and_in_lengths() -> None:

@@ -92,6 +92,14 @@ def written(folder: Path, text: str, name: str = "camera.yaml") -> Path:
     return folder / name
 
 
+def test_the_lens_of_rectified_images_is_read_beside_that_of_raw_ones(tmp_path: Path) -> None:
+    P = "projection_matrix: {data: [1300, 0, 801, 0, 0, 1302, 590, 0, 0, 0, 1, 0]}"
+    (tmp_path / "eye.yaml").write_text(CAMERA_INFO + P + "\n", encoding="utf-8")
+    (eye,) = read_intrinsics(tmp_path / "eye.yaml").values()
+    assert eye.rectified == (1300.0, 1302.0, 801.0, 590.0)
+    assert (eye.fx, eye.distortion) == (EYE.fx, EYE.distortion)
+
+
 def test_camera_info_of_ros(tmp_path: Path) -> None:
     assert read_intrinsics(written(tmp_path, CAMERA_INFO)) == {"eye": EYE}
 

@@ -362,6 +362,10 @@ def test_images_of_other_numbers_belong_to_rows_in_their_order() -> None:
     # Those that begin at 1 are named as rows are.
     table = CornerTable(("1", "2"), ("1",) * 2, ("board",) * 2, ("0", "1"), uv, uv)
     assert matched(table, [board], ["1", "2", "3"], counted=True)[1] == ()
+    # Rows that have times in place of names are counted all the same.
+    table = CornerTable(("im_3", "im_2"), ("1",) * 2, ("board",) * 2, ("0", "1"), uv, uv)
+    after, _ = matched(table, [board], ["0.2", "0.3", "0.7"], counted=True)
+    assert after.image == ("0.7", "0.3")
 
 
 def test_what_is_stated_of_a_lens_and_cannot_be_used_is_said(tmp_path: Path) -> None:
@@ -463,3 +467,74 @@ def test_lenses_that_are_not_read_are_named(tmp_path: Path) -> None:
     text = "# Camera list\n1 SIMPLE_RADIAL 1600 1200 1352 799 599 -0.1\n"
     (tmp_path / "cameras.txt").write_text(text, encoding="utf-8")
     assert any("as COLMAP does, which is not read" in one for one in lc.init(tmp_path).remarks)
+
+
+def flat(count: int) -> np.ndarray:
+    """(N, 4, 4) of a hand that points downwards and turns about z alone."""
+    T = hands(count, 5)
+    angles = np.random.default_rng(5).uniform(-1.5, 1.5, count)
+    T[:, :3, :3] = (
+        Rotation.from_euler("z", angles[:, None]) * Rotation.from_euler("x", np.pi) * TOWARDS
+    ).as_matrix()
+    return T
+
+
+TOWARDS = Rotation.from_matrix(hands(1, 5)[0, :3, :3])
+ROBOT = "pose,x_mm,y_mm,z_mm,"
+
+
+@pytest.mark.parametrize(
+    ("names", "turns", "words"),
+    [
+        ("rx_deg,ry_deg,rz_deg", lambda R: (180.0, 0.0, -yaw(R)), "Rx Ry Rz"),
+        ("yaw", lambda R: (yaw(R),), "yaw about z"),
+        ("U", lambda R: (-yaw(R),), "U about -z"),
+    ],
+)
+def test_a_hand_that_turns_about_z_alone(
+    tmp_path: Path, names: str, turns: Callable[[Rotation], tuple[float, ...]], words: str
+) -> None:
+    """Turns of any order are by the same angles there: the images decide by where boards are."""
+    T = flat(12)
+    written(tmp_path, pixels(T, on="base"), T)
+
+    def change(row: list[str]) -> list[str]:
+        w, x, y, z = map(float, row[4:])
+        return [*row[:4], *(f"{a:.9f}" for a in turns(Rotation.from_quat([x, y, z, w])))]
+
+    rewritten(tmp_path / "robot.csv", change, ROBOT + names)
+    table = read_places(tmp_path / "robot.csv")
+    corners = of_table(read_corners(tmp_path / "corners.csv"), read_boards(tmp_path / "points.csv"))
+    assert words in way_of_turning(table.ways, corners, {"1": LENS}, {})
+
+
+def yaw(R: Rotation) -> float:
+    turn = R * TOWARDS.inv() * Rotation.from_euler("x", -np.pi)
+    return float(np.degrees(turn.as_rotvec()[2]))
+
+
+def test_images_that_are_named_by_their_times(tmp_path: Path) -> None:
+    """Each belongs to the row of the log that is nearest, whatever unit both are in."""
+    T = hands(12, 5)
+    written(tmp_path, pixels(T, on="base"), T)
+    robot, corners = tmp_path / "robot.csv", tmp_path / "corners.csv"
+    rewritten(robot, lambda row: [f"{1.7e9 + 2.0 * int(row[0]):.3f}", *row[1:]])
+    robot.write_text(robot.read_text("utf-8").replace("pose,", "timestamp,", 1), encoding="utf-8")
+    rewritten(corners, lambda row: [f"{int(1.7e12 + 2000 * int(row[0]) + 350)}", *row[1:]])
+    made = lc.init(tmp_path)
+    assert "poses nearest in time" in str(made)
+    assert len(made.dataset) == 12
+
+
+def test_what_has_no_image_or_no_pose_is_said(tmp_path: Path) -> None:
+    T = hands(12, 5)
+    written(tmp_path, pixels(T, on="base"), T)
+    robot, corners = tmp_path / "robot.csv", tmp_path / "corners.csv"
+    rows = robot.read_text("utf-8").splitlines()
+    robot.write_text("\n".join([*rows[:-2], rows[-1]]) + "\n", encoding="utf-8")
+    rows = corners.read_text("utf-8").splitlines()
+    rows = [row for row in rows if not row.startswith(("3,", "4,"))]
+    corners.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    words = str(lc.init(tmp_path))
+    assert "2 poses without an image are left out: '3', '4'" in words
+    assert "1 images without a pose or with too few corners are left out: '10'" in words

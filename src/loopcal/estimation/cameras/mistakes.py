@@ -18,6 +18,7 @@ from loopcal.estimation.cameras.board_pose import BoardPoses
 from loopcal.estimation.cameras.corners import Corners
 from loopcal.estimation.cameras.facts import Fact
 from loopcal.estimation.cameras.homography import homographies, spread, transfer_errors
+from loopcal.estimation.cameras.lens_changes import cut, exchanged, rectified, resized, turned
 from loopcal.estimation.cameras.orders import (
     consistent_orders,
     mirrored,
@@ -69,11 +70,15 @@ FARTHEST_HAND = 20.0
 
 @dataclass(frozen=True)
 class Suspicion:
-    """Another reading of the files, or None where it makes no sense for them."""
+    """Another reading of the files, or None where it makes no sense for them.
+
+    share: it leaves less than that of what the best one before it leaves.
+    """
 
     code: str
     sentence: str
     change: Callable[[Reading], Reading | None]
+    share: float = 1.0
 
 
 def corrected(reading: Reading, held: bool | None) -> tuple[Reading, list[Fact]]:
@@ -195,8 +200,8 @@ def _better(
         same = other.corners is few.corners and other.lenses is few.lenses
         needed = poses if same or size is not misfit else view_poses(other)
         for mount in mounts:
-            value = size(replace(other, held=mount), needed, after)
-            if value < after:
+            value = size(replace(other, held=mount), needed, suspicion.share * after)
+            if value < suspicion.share * after:
                 after, reason, held = value, suspicion, mount
         if reason is not None and after < min(enough, WITHOUT_DOUBT * before):
             break
@@ -212,22 +217,22 @@ def _better(
 
 def _straight(reading: Reading) -> tuple[Reading, list[Fact]]:
     """The reading without the stated distortion, where single images fit clearly better so."""
-    lenses = tuple(
-        replace(lens, lens="brown5", distortion=()) if any(lens.distortion) else lens
-        for lens in reading.lenses
-    )
-    if not reading.stated or lenses == reading.lenses:
+    if not reading.stated or not any(any(lens.distortion) for lens in reading.lenses):
         return reading, []
-    other = replace(reading, lenses=lenses)
-    before, after = image_misfit(reading), image_misfit(other)
-    if not after < CLEAR * before:
+    others = {
+        "without the stated distortion": rectified(reading, by_P=False),
+        "by the stated P, without distortion": rectified(reading, by_P=True),
+    }
+    left = {words: image_misfit(other) for words, other in others.items()}
+    words = min(left, key=lambda one: left[one])
+    before, px = image_misfit(reading), left[words]
+    if not px < CLEAR * before:
         return reading, []
     sentence = (
-        "The images fit without the stated distortion, as rectified images do. State the lens of "
-        "the images as they are."
+        f"The images fit {words}, as rectified images do. State the lens of the images as they are."
     )
-    values: dict[str, float | str] = {"px_before": before, "px_after": after}
-    return other, [Fact("images-rectified", sentence, values, applied=True)]
+    values: dict[str, float | str] = {"px_before": before, "px_after": px}
+    return others[words], [Fact("images-rectified", sentence, values, applied=True)]
 
 
 def _planar_suspicions(reading: Reading) -> Iterator[Suspicion]:
@@ -292,6 +297,13 @@ def _mounted(reading: Reading, held: bool | None) -> tuple[Reading, list[Fact], 
     ]
     best, facts = tried[weighed.index(min(weighed))]
     return best, facts, sizes
+
+
+def mounted_misfit(reading: Reading) -> float:
+    """What the better mount leaves [px]; what needs another unit or a mirror has to be clearly
+    better."""
+    _, facts, sizes = _mounted(reading, None)
+    return min(sizes) / (CLEAR if facts else 1.0)
 
 
 def _mount(reading: Reading, misfits: list[float]) -> tuple[Reading, Fact]:
@@ -520,7 +532,7 @@ def _lens_suspicions(cameras: tuple[str, ...]) -> Iterator[Suspicion]:
             "cameras-exchanged",
             f"The stated intrinsics of the cameras {cameras[a]!r} and {cameras[b]!r} are "
             "exchanged. Exchange them.",
-            lambda one, a=a, b=b: _with_exchanged(one, a, b),  # type: ignore[misc]
+            lambda one, a=a, b=b: exchanged(one, a, b),  # type: ignore[misc]
         )
     for turn in ("exchanged", "clockwise", "counterclockwise", "half"):
         angle = "180" if turn == "half" else "90"
@@ -528,54 +540,19 @@ def _lens_suspicions(cameras: tuple[str, ...]) -> Iterator[Suspicion]:
             "intrinsics-turned",
             f"The stated intrinsics fit images turned by {angle} degrees. State them for the "
             "images as they are: the principal point moves.",
-            lambda one, turn=turn: _turned(one, turn),  # type: ignore[misc]
+            lambda one, turn=turn: turned(one, turn),  # type: ignore[misc]
         )
     for factor in SIZES:
         yield Suspicion(
             "intrinsics-of-another-size",
             f"The stated intrinsics fit images of {1.0 / factor:.4g} times this size: multiply "
             f"f and c by {factor:.4g}.",
-            lambda one, factor=factor: _resized(one, factor),  # type: ignore[misc]
+            lambda one, factor=factor: resized(one, factor),  # type: ignore[misc]
         )
-
-
-def _with_exchanged(reading: Reading, a: int, b: int) -> Reading | None:
-    """The lenses of two cameras exchanged; None where they state images of other sizes."""
-    lenses = list(reading.lenses)
-    sizes = {lens.image for lens in (lenses[a], lenses[b]) if lens.image is not None}
-    if len(sizes) > 1:
-        return None
-    lenses[a], lenses[b] = lenses[b], lenses[a]
-    return replace(reading, lenses=tuple(lenses))
-
-
-def _turned(reading: Reading, turn: str) -> Reading | None:
-    """Lenses of images on their side; a real turn needs the images' size."""
-    if turn != "exchanged" and any(lens.image is None for lens in reading.lenses):
-        return None
-    lenses = []
-    for lens in reading.lenses:
-        width, height = lens.image or (0, 0)
-        cx, cy = {
-            "exchanged": (lens.cy, lens.cx),
-            "clockwise": (lens.cy, height - 1.0 - lens.cx),
-            "counterclockwise": (width - 1.0 - lens.cy, lens.cx),
-            "half": (width - 1.0 - lens.cx, height - 1.0 - lens.cy),
-        }[turn]
-        fx, fy = (lens.fx, lens.fy) if turn == "half" else (lens.fy, lens.fx)
-        lenses.append(replace(lens, fx=fx, fy=fy, cx=cx, cy=cy))
-    return replace(reading, lenses=tuple(lenses))
-
-
-def _resized(reading: Reading, factor: float) -> Reading:
-    lenses = tuple(
-        replace(
-            lens,
-            fx=lens.fx * factor,
-            fy=lens.fy * factor,
-            cx=(lens.cx + 0.5) * factor - 0.5,
-            cy=(lens.cy + 0.5) * factor - 0.5,
-        )
-        for lens in reading.lenses
+    yield Suspicion(
+        "principal-point",
+        "The images fit with another principal point than the stated one, as images do that were "
+        "cut. State the intrinsics and the size of the images as they are.",
+        cut,
+        CLEAR,  # a free point fits as well as each of those before
     )
-    return replace(reading, lenses=lenses)

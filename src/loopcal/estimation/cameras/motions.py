@@ -157,11 +157,13 @@ def _coverage(corners: Corners, camera: str, size: tuple[int, int] | None) -> It
 
 
 _VIEWS = 60
+ALIKE = 2.0
 
 
-def most_alike(ways: Mapping[str, Array], reading: Reading) -> tuple[str, float]:
-    """Which of the poses (n, 4, 4) turn as the board does, by their names, and the median
-    difference [rad]; of views that allow two poses of the board the nearer counts."""
+def most_alike(ways: Mapping[str, Array], reading: Reading) -> list[str]:
+    """Which of the poses (n, 4, 4) turn as the board does, by their names: those whose median
+    difference is below `ALIKE` times the least; of views that allow two poses of the board the
+    nearer counts. A hand that keeps an axis turns by the same angle in several of them."""
     few = reading.thinned(_VIEWS, 24)
     poses, views = view_poses(few), few.corners.views
     usable = np.flatnonzero(poses.usable)
@@ -175,8 +177,7 @@ def most_alike(ways: Mapping[str, Array], reading: Reading) -> tuple[str, float]
         hand = T[views.image, :3, :3]
         away = np.abs(np.array(seen) - _angles(hand[one], hand[other])).min(axis=0, initial=np.inf)
         sizes[name] = float(np.median(away)) if away.size else 0.0
-    best = min(sizes, key=lambda name: sizes[name])
-    return best, sizes[best]
+    return [name for name in ways if sizes[name] <= ALIKE * min(sizes.values())]
 
 
 def _angles(R: Array, S: Array) -> Array:

@@ -19,7 +19,7 @@ from loopcal.estimation.cameras.corners import Corners
 from loopcal.estimation.cameras.facts import Fact
 from loopcal.estimation.cameras.homography import focal_length, homographies, spread
 from loopcal.estimation.cameras.images import explained
-from loopcal.estimation.cameras.mistakes import CLEAR, corrected, image_misfit
+from loopcal.estimation.cameras.mistakes import CLEAR, corrected, image_misfit, mounted_misfit
 from loopcal.estimation.cameras.motions import most_alike, motion_facts
 from loopcal.estimation.cameras.placing import Reading, placed, usable_part, view_poses
 from loopcal.estimation.cameras.scale import scale_facts
@@ -198,9 +198,15 @@ def way_of_turning(
     intrinsics: Mapping[str, Intrinsics],
     image_sizes: Mapping[str, tuple[int, int]],
 ) -> str:
-    """Which of several poses of the flange (n, 4, 4) by name turn as the board does."""
+    """Which of several poses of the flange (n, 4, 4) by name turn as the board does; of those that
+    turn alike the one by which the images fit."""
+    complete = all(camera in intrinsics for camera in corners.cameras)
     lenses = _lens_choices(corners, intrinsics, image_sizes, "brown5")[0]
-    return most_alike(ways, Reading(corners, None, lenses))[0]
+    reading = Reading(corners, None, lenses, stated=complete)
+    alike = most_alike(ways, reading)
+    if len(alike) == 1:
+        return alike[0]
+    return min(alike, key=lambda way: mounted_misfit(replace(reading, T_base_flange=ways[way])))
 
 
 def with_stated_lenses(begun: CameraStart) -> CameraStart:
@@ -234,7 +240,7 @@ def _lens_choices(
         size = sizes.get(camera)
         if camera in stated:
             one = stated[camera]
-            choices.append([Intrinsics.of(one.lens, one.values, one.image or size)])
+            choices.append([replace(one, image=one.image or size)])
         else:
             choices.append(guessed(corners, c, size, lens)[:2])
     count = max(len(each) for each in choices)

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -94,7 +94,10 @@ def _camera(part: Part) -> Intrinsics | None:
         fisheye = model.text in ("equidistant", "fisheye")
         if not (fisheye or model.text in ("plumb_bob", "rational_polynomial", "none", "")):
             raise _unsupported(model, "plumb_bob, rational_polynomial and equidistant")
-        return _of_matrix(matrix, D, _image(part), fisheye)
+        lens = _of_matrix(matrix, D, _image(part), fisheye)
+        P = part.get("projection_matrix", "P", "p")
+        fx, _, cx, _, _, fy, cy, *_ = P.numbers(12) if P else [0.0] * 12
+        return replace(lens, rectified=(fx, fy, cx, cy)) if fx > 0.0 and fy > 0.0 else lens
     if "camera_model" in part and "intrinsics" in part:
         return _of_kalibr(part)
     if {"fx", "fy", "cx", "cy"} <= {key for key, _ in part.items()}:

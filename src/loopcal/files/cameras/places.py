@@ -29,6 +29,8 @@ from loopcal.files.recognition.sources import sources_of
 from loopcal.units import unit
 
 TABLES = (".csv", ".tsv", ".txt")
+_ABOUT_Z = ("rz", "yaw", "u", "c", "r", "theta")
+"""Names of the angle of a hand that turns about z alone, as those of SCARA robots do."""
 _LISTED = 10_000
 """Files of poses that one file lists."""
 
@@ -125,7 +127,8 @@ def _of_source(source: Source, path: Path) -> PlaceTable:
     # Six numbers may be joints: only what shows that it turns is a pose.
     arrays = (one for one in numbered(source.fields) if one.form in ("matrix", "quaternion"))
     seen = seen or next(arrays, None) or _unnamed(source.fields)
-    if seen is None:
+    ways = _turned_about_z(source) if seen is None else _ways(seen, len(source))
+    if not ways:
         raise InputError(
             "no pose is recognised among the columns",
             code="missing-column",
@@ -133,6 +136,21 @@ def _of_source(source: Source, path: Path) -> PlaceTable:
             remedy="name them x_m, y_m, z_m, qx, qy, qz, qw, or x_mm, y_mm, z_mm, rx_deg, ry_deg, "
             "rz_deg",
         )
+    T = next(iter(ways.values()))
+    names, counted = row_names(source)
+    wrong = np.flatnonzero(~np.isfinite(T).all(axis=(1, 2)))
+    if wrong.size:
+        raise InputError(
+            f"the pose {names[wrong[0]]!r} is not complete",
+            code="missing-reading",
+            place=path.name,
+            remedy="state all its numbers, or remove its row",
+        )
+    return PlaceTable(names, T, path.name, ways if "" not in ways else {}, counted)
+
+
+def _ways(seen: Seen, count: int) -> dict[str, Array]:
+    """Poses (N, 4, 4) by what the turns may mean, in words; "" where the file states that."""
     by_stem = {f.stem: i for i, f in enumerate(seen.turned)}
     order = tuple(range(len(seen.turned)))
     named = seen.form == "matrix" or any(by_stem)
@@ -145,23 +163,27 @@ def _of_source(source: Source, path: Path) -> PlaceTable:
     for one in meanings(seen):
         if one.inverted or one.turns is None or (stated and one.order != order):
             continue
-        T = np.tile(np.eye(4), (len(source), 1, 1))
+        T = np.tile(np.eye(4), (count, 1, 1))
         T[:, :3, :3] = one.turns
         T[:, :3, 3] = np.array([unit(f.unit or "m").factor * f.values for f in seen.position]).T
-        ways.setdefault(one.words[-1], T)
-    T = next(iter(ways.values()))
-    names = source.ids or _whole_times(source)
-    counted = names is None
-    names = names or tuple(map(str, range(1, len(source) + 1)))
-    wrong = np.flatnonzero(~np.isfinite(T).all(axis=(1, 2)))
-    if wrong.size:
-        raise InputError(
-            f"the pose {names[wrong[0]]!r} is not complete",
-            code="missing-reading",
-            place=path.name,
-            remedy="state all its numbers, or remove its row",
-        )
-    return PlaceTable(names, T, path.name, {} if stated else ways, counted)
+        ways.setdefault("" if stated else one.words[-1], T)
+    return ways
+
+
+def _turned_about_z(source: Source) -> dict[str, Array]:
+    """The same of a hand with one angle, which may count either way; {} where none is named."""
+    by = {f.stem: f for f in source.fields}
+    turn = next((by[name] for name in _ABOUT_Z if name in by), None)
+    if turn is None or not {*"xyz"} <= by.keys():
+        return {}
+    angle = unit(turn.unit or ("deg" if turn.span > 2.0 * np.pi else "rad")).factor * turn.values
+    T = np.tile(np.eye(4), (len(source), 1, 1))
+    T[:, :3, 3] = np.array([unit(by[a].unit or "m").factor * by[a].values for a in "xyz"]).T
+    c, s = np.cos(angle), np.sin(angle)
+    T[:, :2, :2] = np.moveaxis(np.array([[c, -s], [s, c]]), 2, 0)
+    other = T.copy()
+    other[:, :3, :3] = np.swapaxes(T[:, :3, :3], 1, 2)
+    return {f"{turn.label} about z": T, f"{turn.label} about -z": other}
 
 
 def _unnamed(fields: Sequence[Field]) -> Seen | None:
@@ -179,13 +201,18 @@ def _unnamed(fields: Sequence[Field]) -> Seen | None:
     return None
 
 
-def _whole_times(source: Source) -> tuple[str, ...] | None:
-    """Times that are whole numbers, each once: they number the images."""
+def row_names(source: Source) -> tuple[tuple[str, ...], bool]:
+    """The names of the rows, and whether they have none: then times, each once, or counts from 1.
+
+    Whole times are names: they number the images.
+    """
+    if source.ids:
+        return source.ids, False
     for field_ in source.fields:
-        if field_.is_time and (field_.values == np.round(field_.values)).all():
-            names = tuple(str(int(value)) for value in field_.values)
-            return names if len({*names}) == len(names) else None
-    return None
+        if field_.is_time and np.unique(field_.values).size == len(source):
+            whole = (field_.values == np.round(field_.values)).all()
+            return tuple(str(int(t) if whole else t) for t in field_.values.tolist()), not whole
+    return tuple(map(str, range(1, len(source) + 1))), True
 
 
 def _robot_poses(document: Part, *also: str) -> list[Array]:

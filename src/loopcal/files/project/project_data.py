@@ -371,7 +371,8 @@ def _is_converted(paths: Sequence[Any], spec: DataTable, wanted: Set[str]) -> bo
 
 
 def _has_columns(path: Any, spec: DataTable, quantities: Set[str]) -> bool:
-    """Whether a file has the columns in which the project reads these quantities."""
+    """Whether a file has the columns in which the project reads these quantities, in those of their
+    names where it states none."""
     if not isinstance(path, str | Path):
         return False
     try:
@@ -379,7 +380,7 @@ def _has_columns(path: Any, spec: DataTable, quantities: Set[str]) -> bool:
     except InputError:  # of a table below titles, which only its source describes
         return False
     columns = {q: c.column for part in spec.parts for q, c in part.columns.items()}
-    return {columns[q] for q in quantities if q in columns} <= {*labels}
+    return {columns.get(q, q) for q in quantities} <= {*labels}
 
 
 def _spec(inputs: Mapping[str, Any], mechanism: Mechanism) -> DataTable:

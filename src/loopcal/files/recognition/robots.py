@@ -210,7 +210,8 @@ def _of_table(path: Path, table: DhTable, fields: Sequence[Field]) -> Robot:
         )
     # Commanded and actual joints would give the machine the names of one of them.
     usual = usual_joints(fields) if len(joint_sets(fields, count, ())) < 2 else ()
-    columns = [f.heading.text if f.heading else "" for f in usual]
+    # Without their unit: joints are in SI, and so are the readings that a project of images writes.
+    columns = [f.heading.text.removesuffix(f"_{f.unit}") if f.heading else "" for f in usual]
     names = joint_names(rows, [c for c in columns if c])
     joints: list[dict[str, Any]] = []
     ahead: dict[str, float] = {}

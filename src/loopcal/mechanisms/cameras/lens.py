@@ -46,7 +46,8 @@ class Intrinsics:
     """A camera without a place: focal lengths and principal point [px], distortion, image size.
 
     distortion: in the order of `LENSES[lens]`, as OpenCV writes them; image: width and height [px],
-    None where nobody said. Raises InputError for another lens or number of coefficients.
+    None where nobody said; rectified: fx, fy, cx, cy [px] of images that were made straight, where
+    they are stated. Raises InputError for another lens or number of coefficients.
     """
 
     lens: str
@@ -56,6 +57,7 @@ class Intrinsics:
     cy: float
     distortion: tuple[float, ...] = ()
     image: tuple[int, int] | None = None
+    rectified: tuple[float, float, float, float] | None = None
 
     def __post_init__(self) -> None:
         if self.lens not in LENSES:

@@ -298,9 +298,10 @@ def matched(
     from 1. Names stay where nothing or not everything matches.
     """
     remarks = []
-    by = _by_row(table.images, poses) if counted else {}
-    how = "poses in the order of their rows"
-    if not by and poses and {*poses}.isdisjoint(table.image):
+    by, how = _by_time(table.images, poses), "poses nearest in time"
+    if not by and counted:
+        by, how = _by_row(table.images, poses), "poses in the order of their rows"
+    elif not by and poses and {*poses}.isdisjoint(table.image):
         by, how = _by_number(table.images, poses), "poses of the same number"
     if by:
         first = next(iter(by.items()))
@@ -331,15 +332,34 @@ def _by_number(images: Sequence[str], poses: Sequence[str]) -> Mapping[str, str]
     return {by[0][n]: by[1][n] for n in by[0] if n in by[1]}
 
 
+def _by_time(images: Sequence[str], poses: Sequence[str]) -> Mapping[str, str]:
+    """Image -> the pose nearest in time, of names that are times in s, ms, us or ns; empty where
+    one is farther from all poses than these follow each other, or names are alike."""
+    try:
+        t, s = (np.array([float(name) for name in names]) for names in (images, poses))
+    except ValueError:
+        return {}
+    if len(s) < 2 or not (np.diff(s) > 0.0).all() or min(t.min(), s[0]) <= 0.0:
+        return {}
+    t *= 1000.0 ** np.round(np.log(np.median(s) / np.median(t)) / np.log(1000.0))
+    near = np.abs(t[:, None] - s).argmin(axis=1)
+    far = np.abs(t - s[near]).max() > np.median(np.diff(s))
+    if far or np.unique(near).size < len(t) or {*images} & {*poses}:
+        return {}
+    return {name: poses[i] for name, i in zip(images, near, strict=True)}
+
+
 def _by_row(images: Sequence[str], poses: Sequence[str]) -> Mapping[str, str]:
-    """Image -> pose, whose rows have no names: images that count from 0, or as many of any other
-    numbers; empty where numbers count from 1, as rows do, or say nothing."""
+    """Image -> pose, whose rows have no names: images that count rows from 0, or from 1, or as many
+    of any other numbers; empty where numbers say nothing."""
     numbers = {name: n for name in images if (n := _last_number(name)) is not None}
     every = sorted(numbers.values())
     if len({*every}) < len(images) or not every:
         return {}
-    if every[0] == 0 and every[-1] < len(poses):
-        return {name: poses[n] for name, n in numbers.items()}
+    first = min(every[0], 1)
+    if every[-1] < len(poses) + first:
+        by = {name: poses[n - first] for name, n in numbers.items()}
+        return {name: pose for name, pose in by.items() if name != pose}
     if len(images) == len(poses) and every[-1] > len(poses):
         return {name: poses[every.index(n)] for name, n in numbers.items()}
     return {}

@@ -15,7 +15,7 @@ from loopcal.estimation.cameras.start import (
     CameraStart,
 )
 from loopcal.files.cameras.folder import Files
-from loopcal.files.cameras.places import PlaceTable, read_places
+from loopcal.files.cameras.places import PlaceTable, read_places, row_names
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.recognition.fields import Field, in_si, taken_in
 from loopcal.files.recognition.joint_sets import joint_columns, joint_sets
@@ -152,7 +152,7 @@ def _joints(paths: Sequence[Path], describe: Describe, joints: str | None, folde
     mechanism = mechanism_from_data(dict(robot.table), str(folder / PROJECT))
     stated = dict(zip(mechanism.joints, columns, strict=True))
     readings = in_si(stated, mechanism.joints)
-    poses = source.ids or tuple(str(i) for i in range(1, len(source) + 1))
+    poses, unnamed = row_names(source)
     T = mechanism.fk(np.stack(list(readings.values()), axis=1))
     noise = joint_noise(mechanism.joints)
     words = f"joints are {', '.join(f.label for f in columns)} of {source.name}, {how}"
@@ -170,7 +170,7 @@ def _joints(paths: Sequence[Path], describe: Describe, joints: str | None, folde
         noise,
         remarks,
         drawn(mechanism, _LENGTH, _TWIST, _ZERO),
-        counted=source.ids is None,
+        counted=unnamed,
     )
 
 

@@ -97,13 +97,18 @@ class ImagesProject:
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """Images that are not used, in words."""
-        poses = self.begun.corners.poses
-        used = {poses[i] for i in self.kept}
-        unused = [image for image in self.table.images if image not in used]
-        if not unused:
-            return ()
-        return (f"images without a pose or with too few corners are left out: {listed(unused, 5)}",)
+        """Images and poses that are not used, in words."""
+        poses, images = self.begun.corners.poses, self.table.images
+        used, seen = {poses[i] for i in self.kept}, {*images}
+        unused = {
+            "images without a pose or with too few corners": [i for i in images if i not in used],
+            "poses without an image": [pose for pose in poses if pose not in seen],
+        }
+        return tuple(
+            f"{len(names)} {what} are left out: {listed(names, 5)}"
+            for what, names in unused.items()
+            if names
+        )
 
     @property
     def tables(self) -> dict[str, Any]:
