@@ -180,10 +180,31 @@ def test_sds_are_learnt_from_the_poses_of_both_days() -> None:
         assert one.source == both.source
         assert one.sd == pytest.approx(both.sd, rel=2e-3)
         assert (one.sd_of_sd or 0.0) == pytest.approx(both.sd_of_sd or 0.0, rel=1e-2)
+        assert np.linalg.norm(one.slopes) == pytest.approx(np.linalg.norm(both.slopes), rel=1e-2)
     held = lc.update(first, later, noise={"q": 0.0, "y": 1e-3, "z": 1e-3})
     assert {one.sd for one in held.noise} == {0.0, 1e-3}
     once_more = lc.update(found, later)
     assert [one.source for one in once_more.noise] == [one.source for one in found.noise]
+
+
+def test_sds_of_which_only_the_sum_is_seen_are_as_sure_as_it_after_an_update() -> None:
+    """Each alone is open, so that the next check saw nothing, or took both for known."""
+    mechanism = lc.Mechanism.from_function(
+        lambda x, p: [x.y - p.a * x.q - p.b],
+        {"q": "m", "y": "m"},
+        {"a": (1.0, "1"), "b": (0.0, "m")},
+        outputs=("y",),
+    )
+    rng = np.random.default_rng(0)
+    q = rng.uniform(0.0, 1.0, 60)
+    y = 1.1 * q + 0.2 + 3e-3 * rng.standard_normal(60)
+    data = lc.Dataset.from_arrays({"q": q, "y": y})
+    one, two, three = (data.take(np.arange(at, at + 20)) for at in (0, 20, 40))
+    noise = lc.Noise({"q": 1e-3, "y": 1e-3}, estimate={"q": "each", "y": "each"})
+    first = lc.calibrate(mechanism, one, noise=noise, method="implicit-loop")
+    found = lc.update(first, two)
+    freedoms = [lc.verify(result, three).innovation.learnt_freedom for result in (first, found)]
+    assert freedoms == pytest.approx([18.0, 38.0], rel=0.03)
 
 
 def test_a_drift_is_not_taken_for_noise() -> None:
@@ -204,11 +225,15 @@ def test_a_drift_is_not_taken_for_noise() -> None:
 def test_without_the_earlier_poses_the_learnt_sds_are_handed_on() -> None:
     rng = np.random.default_rng(0)
     q = rng.uniform(0.0, 1.0, 40)
-    data = {"q": q, "y": 1.1 * q + 2e-3 * rng.standard_normal(40), "z": 1.1 * q}
-    noise = lc.Noise({"q": 0.0, "y": 1e-3, "z": 1e-3}, estimate={"y": "each"})
+    y, z = (1.1 * q + 2e-3 * rng.standard_normal(40) for _ in "yz")
+    data = {"q": q, "y": y, "z": z}
+    noise = lc.Noise({"q": 1e-3, "y": 1e-3, "z": 1e-3}, estimate={"[qy]": "each"})
     first = lc.calibrate(line(), data, noise=noise, method="implicit-loop")
     bare = replace(Calibrated.of(first, ""), poses=None)
-    assert update(bare, data).noise == Calibrated.of(first, "").noise
+    updated = lc.update(bare, data)
+    assert updated.noise == Calibrated.of(first, "").noise
+    before, after = (lc.predict(result, {"q": q}).sd["z"] for result in (first, updated))
+    assert after == pytest.approx(before, rel=0.04)
 
 
 def test_learnt_sds_and_parameters_are_those_of_all_poses_on_a_measured_set(

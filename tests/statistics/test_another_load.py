@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import loopcal as lc
+from loopcal.mechanisms.structure.structured import loadable
 from tests.statistics.test_change_points import ARM, NOISE, Array, joints
 
 GIVING = lc.structured(ARM, harmonics=False)
@@ -99,3 +102,15 @@ def test_an_arm_that_carries_nothing_is_unchanged(bare: lc.Result) -> None:
     assert found.changes is not None
     assert found.changes.verdict == "unchanged"
     assert [one.name for one in found.changes.candidates].count("the load") == 1
+
+
+def test_a_load_can_be_followed_after_an_update_as_well() -> None:
+    """Its parameters have prior sds of their own, which `verify` refused in one term."""
+    made = lc.structured(ARM, sag=False)
+    sds = {name: 1e-5 * (1.0 + i) for i, name in enumerate(made.parameters.free)}
+    updated = replace(made, terms=()).with_parameters(made.parameters.with_prior(sds))
+    bent = loadable(updated)
+    assert bent.structure is not None
+    assert bent.structure.loaded
+    assert sds.items() <= {p.name: p.prior_sd for p in bent.parameters}.items()
+    assert all(bent.parameters[name].prior_sd < 0.01 for name in bent.structure.loaded)

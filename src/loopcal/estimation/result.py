@@ -583,4 +583,7 @@ class Inherited:
     def added_to(self, covariance: LearntCovariance, S: Array | None = None) -> LearntCovariance:
         """The covariance of the estimated parameters with it, or that of S (N, m, n) times them."""
         wider = self.covariance if S is None else S @ self.covariance @ np.swapaxes(S, -1, -2)
-        return covariance.plus(LearntCovariance(wider, 0.0 * wider, 0.0 * covariance.slopes))
+        # Errors of the sds, along which the parameters' covariance is taken as known.
+        errors = max((len(entry.slopes) for entry in self.noise), default=0)
+        slopes = np.zeros((errors, *wider.shape))
+        return LearntCovariance(covariance.matrix + wider, covariance.plain, slopes)

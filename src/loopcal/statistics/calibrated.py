@@ -226,8 +226,7 @@ class Calibrated:
         if (made := loadable(self.mechanism)) is self.mechanism:
             return self
         E = np.equal.outer(made.parameters.names, self.mechanism.parameters.names).astype(float)
-        usual = {name: term.sd for term in made.terms for name in term.parameters}
-        prior_sd = np.array([usual.get(p.name, p.prior_sd) for p in made.parameters])
+        prior_sd = np.array([p.prior_sd for p in made.parameters])
         prior_sd[E.any(axis=1)] = self.prior_sd[E.argmax(axis=1)[E.any(axis=1)]]
         return replace(self.through(made, E), nominal=E @ self.nominal, prior_sd=prior_sd)
 

@@ -348,10 +348,11 @@ def followed_words(change: Change, followed: Container[str]) -> str:
     """That an update follows this change, in two sentences; followed: what it estimates anew."""
     causes = causes_of(change, followed)
     joints = " and ".join(name for name in causes if name in change.zeros)
-    every = [f"the zero of {joints}"] if joints else []
+    every = [] if change.kind in CONDITIONAL else [change.name]
+    every = [f"the zero of {joints}"] if joints else every
     every += ["the load"] if "load" in change.kinds else []
     every += [EXPANSION] if EXPANSION in causes else []
-    what = " and ".join(every) or change.name
+    what = " and ".join(every)
     others = [one for one in every if one != change.where]
     other = f", or {' or '.join(others)} did" if others else ""
     warm = _WARM if EXPANSION in causes else ""

@@ -66,7 +66,6 @@ from loopcal.statistics.gauge import values_of
 from loopcal.statistics.later_corners import fitting_corners
 from loopcal.statistics.replacing import Replaced, freed
 from loopcal.statistics.station_scales import by_same_stations
-from loopcal.statistics.verification import verified
 from loopcal.statistics.verified import Verification
 
 _MIXED = "The update mixes both machines. Calibrate anew, or state the drift that is expected."
@@ -141,16 +140,20 @@ def updated(
             code="missing-sd",
             remedy="give noise, or update a calibration by another method",
         )
-    calibrated = _loadable(calibrated, data, since, stated)
-    calibrated = calibrated.stationed if since.moved else calibrated
-    data = fitting_corners(calibrated, data, stated, since.remounted)
     calibrated = replace(calibrated, residual=None)
+    stiff, calibrated = (
+        one.stationed if since.moved else one for one in (calibrated, calibrated.loadable)
+    )
+    data = fitting_corners(calibrated, data, stated, since.remounted)
     allowance = allowed(calibrated, data, since, stated)
     if (gone := np.flatnonzero(np.isin(data.poses, allowance.check.outliers))).size:
         kept = np.setdiff1d(np.arange(len(data)), gone)
         data, stated = data.without_outliers(gone), stated and stated.take(kept)
         allowance = allowed(calibrated, data, since, stated)
-    drift = allowance.drift
+    drift, names = allowance.drift, calibrated.mechanism.parameters.names
+    rows = [names.index(name) for name in stiff.mechanism.parameters.names]
+    if not np.delete(drift, rows, axis=0).any():  # no other load is followed
+        calibrated, drift = stiff, drift[rows]
     held = stated is not None
     if stated is None:
         stated, data = noise_of(calibrated), as_learnt(calibrated, data)
@@ -204,18 +207,6 @@ def updated(
         result = result.noted(_TWICE.format(poses=again))
     done = Updated(result, allowance.check)
     return done if done.mixed is None else replace(done, result=result.noted(done.mixed))
-
-
-def _loadable(
-    calibrated: Calibrated, data: Dataset, since: Since, noise: Noise | None
-) -> Calibrated:
-    """The calibration such that another load can be followed, where a check names one."""
-    loadable = calibrated.loadable
-    if loadable is calibrated:
-        return calibrated
-    what = verified(loadable.stationed, data, noise, since.remounted).changes
-    named = () if what is None else what.found
-    return loadable if any("load" in change.kinds for change in named) else calibrated
 
 
 def _fitted(
@@ -429,11 +420,15 @@ def learnt(
         estimate = estimate_ratios(model, start)
     except NoTrustworthyResult:
         return None
-    noise = list(calibrated.noise)
+    noise, ratios = list(calibrated.noise), estimate.ratios
+    values, errors = np.linalg.eigh(estimate.at.information * np.outer(ratios, ratios))
+    # Of logarithms of variances, which change by 1 where these poses leave them open.
+    errors /= np.sqrt(np.maximum(values, 1.0))
     for j, i in enumerate(which):
         unsure = any(j in pair for pair in estimate.alike)
         learnt_sd = judged(model, estimate, j, components[j], unsure)
-        noise[i] = replace(learnt_entry(noise[i], learnt_sd, begun[i]), slopes=())
+        entry = learnt_entry(noise[i], learnt_sd, begun[i])
+        noise[i] = replace(entry, slopes=tuple(errors[j].tolist()) if entry.sd > 0.0 else ())
     noisy = (start > 0.0) & (estimate.ratios > 0.0)
     change = np.abs(np.log(estimate.ratios[noisy] / start[noisy])).max(initial=0.0)
     vanished = bool(((start > 0.0) != (estimate.ratios > 0.0)).any())

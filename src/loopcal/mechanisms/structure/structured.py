@@ -189,7 +189,13 @@ def loadable(mechanism: Mechanism) -> Mechanism:
     before = {p.name: p for p in mechanism.parameters}
     if not before.keys() <= {*made.parameters.names}:  # what was added since would be lost
         return mechanism
-    return made.with_parameters(Parameters(tuple(before.get(p.name, p) for p in made.parameters)))
+    usual = {name: term.sd for term in made.terms for name in term.parameters}
+    every = (
+        before.get(p.name) or replace(p, prior_sd=usual.get(p.name, p.prior_sd))
+        for p in made.parameters
+    )
+    # After an update each parameter has an sd of its own, and is in no term.
+    return replace(made, parameters=Parameters(tuple(every)), terms=mechanism.terms)
 
 
 def _has_roles(mechanism: Mechanism) -> bool:
