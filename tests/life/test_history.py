@@ -216,6 +216,12 @@ def test_commands_add_what_they_found(tmp_path: Path) -> None:
     assert run("verify", result, out, *kept, "--date", "2026-03-01").returncode == 0
     assert run("verify", result, out, "--date", "2026-03-01").returncode == 2
     assert run("verify", result, out, *kept, "--date", "in March").returncode == 2
+    longer = PROJECT + '[parameters]\nl2 = { value = 0.84, unit = "m" }\n'
+    (tmp_path / "b.toml").write_text(longer)
+    later = str(tmp_path / "b.csv")
+    assert run("simulate", str(tmp_path / "b.toml"), "--out", later, "--seed", "2").returncode == 0
+    mixed = run("update", result, later, *kept, "--no-report", "--drift", "l3=1um")
+    assert (mixed.returncode, "not in the history" in mixed.stderr) == (4, True), mixed.stderr
     done = run("history", folder, "--event", "<b>collision</b>", "--json")
     assert done.returncode == 0, done.stderr
     document = json.loads(done.stdout)

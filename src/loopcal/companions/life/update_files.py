@@ -96,13 +96,19 @@ def run_update(
         raise error.at(str(first)) from None
     title = read.document.title
     updated_result = Result.of(done.result)
+    # What mixes two machines is in the history of neither.
+    keeper = None if done.mixed else history
     written = save_result(
-        updated_result, target, title=title, inputs=inputs, report=report, keeper=history
+        updated_result, target, title=title, inputs=inputs, report=report, keeper=keeper
     )
     verdict = written.document.verdict
     assert verdict is not None
-    bad = verdict.sound.words if refuses("sound", verdict.sound) else None
-    return UpdateDone(updated_result, written, allowed, done.mixed or bad)
+    objection = done.mixed
+    if objection is None and refuses("sound", verdict.sound):
+        objection = verdict.sound.words
+    elif objection and history:
+        objection += " It is not in the history."
+    return UpdateDone(updated_result, written, allowed, objection)
 
 
 def _usual(folder: str | Path) -> dict[str, float]:
