@@ -321,6 +321,21 @@ def test_a_robot_may_be_named_among_the_readings_and_by_its_option(tmp_path: Pat
     assert len(made.dataset) == len(world.q)
 
 
+def test_a_machine_of_two_limbs_is_told_to_state_what_is_observed(tmp_path: Path) -> None:
+    limb = """<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{0}"/>
+    <origin xyz="0.3 0 0.1"/><axis xyz="0 1 0"/><limit lower="-3" upper="3"/></joint>
+    <link name="{0}"/>"""
+    pairs = [("a0", "bed"), ("a1", "a0"), ("b0", "bed"), ("b1", "b0")]
+    limbs = [limb.format(*pair) for pair in pairs]
+    text = f'<robot name="two"><link name="bed"/>{"".join(limbs)}</robot>'
+    (tmp_path / "two.urdf").write_text(text, "utf-8")
+    rng = np.random.default_rng(3)
+    columns = of(["a0", "a1", "b0", "b1", "x", "y", "z"], rng.uniform(-1.0, 1.0, (20, 7)))
+    written(tmp_path / "a.csv", columns)
+    with refused("unknown-name", "--tip 'a1'", "several limbs", "--observe"):
+        lc.init(tmp_path / "a.csv", urdf=tmp_path / "two.urdf")
+
+
 def test_slides_and_the_points_that_they_move_are_told_by_the_user(tmp_path: Path) -> None:
     q, points = slides(tmp_path, 3)
     numbers = [str(i) for i in range(len(q))]
