@@ -187,9 +187,11 @@ def every_way(
                 near = [m for m in tried if m.share < FAR * tried[0].share + 1e-12]
                 tried = _fitting(near, bodies, some, 4)
                 tried = [m for m in tried if m.share < CLEARLY * tried[0].share + 1e-12]
-                travels = [extent(np.reshape(m.position, (len(m.position), -1))) for m in tried]
-                # A turntable fits in every unit: its axes fix no length.
-                options.append(in_proportion(machine, tried, travels))
+                if tried and tried[0].share <= PLAUSIBLE:
+                    # A turntable fits in every unit: its axes fix no length.
+                    travels = [extent(np.reshape(m.position, (len(m.position), -1))) for m in tried]
+                    tried = in_proportion(machine, tried, travels)
+                options.append(tried)
             if not all(options):
                 continue
             options, fitting = _belonging(options, layout)
