@@ -105,10 +105,14 @@ class LearntCovariance:
 
     @property
     def freedom(self) -> Array:
-        """(..., n) degrees of freedom of Student's t of each estimate; inf: normal."""
+        """(..., n) degrees of freedom of Student's t of each estimate; inf: normal.
+
+        At least that of an sd from one redundant reading: Satterthwaite's ratio falls below it
+        where sizes are hardly learnt, whose log-normal priors have lighter tails than such a t.
+        """
         variance = np.einsum("...ii->...i", self.plain)
         changes = np.square(np.einsum("...ii->...i", self.slopes)).sum(axis=0)
-        return _satterthwaite(variance, changes)
+        return np.maximum(_satterthwaite(variance, changes), 1.0)
 
     @property
     def denominator(self) -> Array:

@@ -108,6 +108,13 @@ def test_an_error_ends_with_the_next_command(name: str, folder: Path, run: Run) 
     assert done.err.endswith(f"Next command:\n    loopcal {command}\n"), done.err
 
 
+def test_the_robot_among_the_readings_stays(folder: Path, run: Run) -> None:
+    (folder / "table.csv").write_text("a [mm],d [mm],alpha [deg],theta [deg]\n1,2,90,0\n", "utf-8")
+    (folder / "joints.csv").write_text("J1 [deg]\n1\n20\n30\n", "utf-8")
+    done = run("init", "joints.csv", "table.csv")
+    assert done.err.endswith("loopcal init joints.csv readings.csv table.csv\n"), done.err
+
+
 def test_readings_of_one_pose_lead_to_a_plan_for_the_robot_that_was_named(
     folder: Path, run: Run
 ) -> None:

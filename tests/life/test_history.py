@@ -13,7 +13,7 @@ import loopcal as lc
 from loopcal.companions.life.history import chart
 from loopcal.companions.life.history_folder import append_entries, read_entries
 from loopcal.companions.life.pages import history_figures, history_html
-from loopcal.estimation.result import UPDATED
+from loopcal.document.result_document import UPDATED
 from tests.command_line import run_here as run
 from tests.life.test_updating import PROJECT
 from tests.refusals import refused

@@ -73,6 +73,11 @@ def test_a_pose_that_does_not_fit_is_left_out_of_an_update() -> None:
     assert found.document.data.discarded == (later.poses[7],)
     assert any("discarded from the fit" in words for words in found.document.warnings)
     assert np.abs((values(found) - values(without)) / sds(without)).max() < 1e-2
+    of_first, of_update = (
+        {row.split("  ")[0] for row in f"{r}".split("\n")} for r in (first, found)
+    )
+    assert ("nominal" in of_first, "nominal" in of_update) == (True, False)
+    assert "before the update" in of_update - of_first
 
 
 def half(same_place: bool) -> tuple[lc.Result, lc.Result]:

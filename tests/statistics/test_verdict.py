@@ -42,7 +42,7 @@ from loopcal.document.findings import (
 )
 from loopcal.document.fit import ChiSquared, ParameterEntry
 from loopcal.document.result_document import CoarseReadings, ResultDocument
-from loopcal.document.verdict import UNASKED, Fact, Figure, Finding, Row, Where
+from loopcal.document.verdict import UNASKED, Fact, Figure, Finding, Named, Row, Where
 from loopcal.mechanisms.limits import joint_limits
 from loopcal.mechanisms.parameters import Role
 from loopcal.presentation.shown import WIDTH
@@ -800,7 +800,8 @@ def test_a_command_of_a_finding_is_one_of_the_program() -> None:
     """With every option that it names, quoted where a name needs it."""
     loaded(COMMANDS)
     commands = get_command(app).commands  # type: ignore[attr-defined]
-    files = {"project": "a b.toml", "result": "r", "readings": "day 2.csv"}
+    day = ["day 2.csv", "probe.csv"]  # all that were typed
+    files: dict[str, Named] = {"project": "a b.toml", "result": "r", "readings": day}
     for row in CATALOGUE.values():
         step = row.finding(_fact_of(row), files).next
         assert step is None or (step.command is None) is (row.command is None)
@@ -808,6 +809,7 @@ def test_a_command_of_a_finding_is_one_of_the_program() -> None:
             continue
         program, command, *words = shlex.split(step.command)
         assert program == "loopcal"
+        assert [word for word in words if word in day] == day * ("day 2.csv" in words)
         options = {o for p in commands[command].params for o in p.opts}
         assert {word for word in words if word.startswith("--")} <= options, step.command
         assert "{" not in step.command

@@ -161,6 +161,7 @@ def _whole_day(error: LoopcalError, words: Sequence[str]) -> list[str]:
         return []
     tables = _tables(words)
     named = [i for i in range(first, len(words)) if words[i].endswith(_TABLES)]
+    named = [i for i in named if first > 1 or not _is_dh(words[i])]  # the robot of `init` stays
     named = [i for i in named if words[i - 1] not in (*_ROBOT, "--out")]
     if not named or {words[i] for i in named} >= {*tables} or (first == 1 and len(tables) != 2):
         return []

@@ -12,7 +12,7 @@ from functools import partial
 
 from loopcal.document.another_day import ANOTHER_DAY, TWO_MACHINES
 from loopcal.document.of_images import IN_IMAGES, OF_IMAGES
-from loopcal.document.verdict import SEVERITIES, Fact, Finding, Row
+from loopcal.document.verdict import SEVERITIES, Fact, Finding, Named, Row
 
 _AGAIN, _CHECK = "loopcal calibrate {project}", "loopcal check {project}"
 _FOLDS, _AUTO = f"{_AGAIN} --folds 10", f"{_AGAIN} --method auto"
@@ -575,7 +575,7 @@ CATALOGUE: Mapping[str, Row] = {row.fact: row for row in _ROWS}
 """Code of a fact -> its row."""
 
 
-def findings(facts: Iterable[Fact], files: Mapping[str, str] = {}) -> tuple[Finding, ...]:
+def findings(facts: Iterable[Fact], files: Mapping[str, Named] = {}) -> tuple[Finding, ...]:
     """The findings that facts lead to, the gravest first; files: for their commands."""
     order = {code: i for i, code in enumerate(CATALOGUE)}
     by_row = sorted(facts, key=lambda one: order[one.code])

@@ -66,7 +66,7 @@ def _accuracy(document: ResultDocument) -> str:
     accuracy = document.accuracy
     if accuracy is None:
         return "<p>Accuracy unknown: no pose predicts an output.</p>"
-    stages = accuracy_stages(accuracy, document.validation)
+    stages = accuracy_stages(accuracy, document.validation, document.updated)
     tables = []
     for what, unit, rows in (
         ("accuracy", accuracy.unit, stages.position),

@@ -44,6 +44,8 @@ from loopcal.mechanisms.structure.structured import unstated_mountings
 from loopcal.presentation.brief import brief
 from loopcal.presentation.shown import columns, p_words, percent, significant, with_unit, wrapped
 
+UPDATED = "implicit loop, updated"
+"""Label of the method, in the result of an update."""
 SCHEMA: Literal[3] = 3
 
 
@@ -285,6 +287,11 @@ class ResultDocument:
         return None if self.prediction is None else self.prediction.region
 
     @property
+    def updated(self) -> bool:
+        """Whether it is an update of an earlier calibration."""
+        return self.method_label == UPDATED
+
+    @property
     def sensors_exact(self) -> bool:
         """Whether the method takes the sensors as exact: it then knows no noise."""
         return not self.noise
@@ -391,7 +398,8 @@ def _accuracy(document: ResultDocument) -> list[str]:
         note += f"; poses not used: {validation.words}"
         elsewhere = (validation.blocked, validation.images)
         note += "".join(f"; {one.words}" for one in elsewhere if one is not None)
-    lines = [*tables.accuracy_table(accuracy, validation), f"{note})", *_coverage(validation)]
+    lines = tables.accuracy_table(accuracy, validation, document.updated)
+    lines += [f"{note})", *_coverage(validation)]
     if validation is not None and validation.log_likelihood is not None:
         value = significant(validation.log_likelihood, 6)
         lines.append(f"log-likelihood of poses not used: {value} (only differences count)")

@@ -47,8 +47,13 @@ class Stages:
     noise_floor: float | None = None
 
 
-def accuracy_stages(accuracy: AccuracyEntry, validation: ValidationEntry | None) -> Stages:
-    """What the tables of accuracy show; several instruments each have lines of their own."""
+def accuracy_stages(
+    accuracy: AccuracyEntry, validation: ValidationEntry | None, updated: bool
+) -> Stages:
+    """What the tables of accuracy show; several instruments each have lines of their own.
+
+    updated: the fit began with an earlier calibration instead of the drawing.
+    """
     held = validation or ValidationEntry({}, "", 0, None, None)
     unseen = {e.instrument: e for e in held.by}
     positions = [_Row("", accuracy, held.accuracy)]
@@ -60,10 +65,11 @@ def accuracy_stages(accuracy: AccuracyEntry, validation: ValidationEntry | None)
         else:
             positions.append(_Row(e.instrument, e.position, held_out.position))
             turns.append(_Row(e.instrument, e.orientation, held_out.orientation))
-    position = list(_stages(positions, accuracy.unit))
-    if accuracy.nominal is not None:
+    first = "before the update" if updated else "nominal"
+    position = list(_stages(positions, accuracy.unit, first))
+    if accuracy.nominal is not None and not updated:
         # After the last "nominal", for several instruments have one each.
-        last = max(i for i, stage in enumerate(position) if stage.name == "nominal")
+        last = max(i for i, stage in enumerate(position) if stage.name == first)
         position.insert(last + 1, Stage("nominal, best placed", "", accuracy.nominal))
     blocked = validation and validation.blocked and validation.blocked.accuracy
     if blocked:
@@ -71,7 +77,7 @@ def accuracy_stages(accuracy: AccuracyEntry, validation: ValidationEntry | None)
     images = validation and validation.images and validation.images.accuracy
     if images:
         position.append(Stage("in image regions not used", "", images))
-    return Stages(tuple(position), _stages(turns, "rad"), accuracy.noise_floor)
+    return Stages(tuple(position), _stages(turns, "rad", first), accuracy.noise_floor)
 
 
 @dataclass(frozen=True)
@@ -81,9 +87,9 @@ class _Row:
     unseen: Distances | None
 
 
-def _stages(rows: Sequence[_Row], unit: str) -> tuple[Stage, ...]:
+def _stages(rows: Sequence[_Row], unit: str, first: str) -> tuple[Stage, ...]:
     shown = [(r, r.deviation) for r in rows if r.deviation is not None and r.deviation.unit == unit]
-    stages = [Stage("nominal", r.instrument, deviation.before) for r, deviation in shown]
+    stages = [Stage(first, r.instrument, deviation.before) for r, deviation in shown]
     stages += [Stage("calibrated", r.instrument, deviation.after) for r, deviation in shown]
     for row, _ in shown:
         if row.unseen is not None:
@@ -91,9 +97,11 @@ def _stages(rows: Sequence[_Row], unit: str) -> tuple[Stage, ...]:
     return tuple(stages)
 
 
-def accuracy_table(accuracy: AccuracyEntry, validation: ValidationEntry | None) -> list[str]:
+def accuracy_table(
+    accuracy: AccuracyEntry, validation: ValidationEntry | None, updated: bool
+) -> list[str]:
     """Distances by stage, then orientations."""
-    stages = accuracy_stages(accuracy, validation)
+    stages = accuracy_stages(accuracy, validation, updated)
     lines = _distance_table("accuracy", stages.position, accuracy.unit, stages.noise_floor)
     if accuracy.orientation is not None:
         lines += [

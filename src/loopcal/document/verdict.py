@@ -196,6 +196,9 @@ def _after_colon(title: str) -> str:
     return shortened(title[0].lower() + title[1:] if usual else title)
 
 
+Named = str | Sequence[str]
+"""What stands for a file in a command: its name, or the names of several."""
+
 # A row of the catalogue: the question that a fact answers, its severity and its words.
 
 
@@ -229,7 +232,7 @@ class Row:
         """Its page of the documentation."""
         return f"reference/codes/{self.code}.html"
 
-    def finding(self, fact: Fact, files: Mapping[str, str] = {}) -> Finding:
+    def finding(self, fact: Fact, files: Mapping[str, Named] = {}) -> Finding:
         """The finding that a fact leads to; files: for the command."""
         place = {one.name: ", ".join(getattr(fact.place, one.name)) for one in fields(Where)}
         values = {**fact.texts, **fact.numbers, "place": SimpleNamespace(**place)}
@@ -247,15 +250,16 @@ class Row:
             sentence if self.title is None else self.title.format_map(values),
         )
 
-    def _line(self, fact: Fact, files: Mapping[str, str]) -> str | None:
+    def _line(self, fact: Fact, files: Mapping[str, Named]) -> str | None:
         """The command for these files; None where one that it names is not at hand."""
         if not self.command:
             return None
-        words = {**fact.texts, **files}
+        words: Mapping[str, Named] = {**fact.texts, **files}
         if not {name for _, name, _, _ in Formatter().parse(self.command) if name} <= {*words}:
             return None
         # Quoted, because the line is pasted into a shell and paths may have blanks.
-        return self.command.format_map({k: shlex.quote(word) for k, word in words.items()})
+        each = {k: [one] if isinstance(one, str) else one for k, one in words.items()}
+        return self.command.format_map({k: shlex.join(some) for k, some in each.items()})
 
 
 Severity = Literal["refuse", "caution", "info"]

@@ -564,9 +564,6 @@ class FitResult:
 
 # What an earlier calibration passes on to the update that begins from it.
 
-UPDATED = "implicit loop, updated"
-"""Label of the method, in the result of an update."""
-
 
 @dataclass(frozen=True, eq=False)
 class Inherited:

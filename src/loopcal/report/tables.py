@@ -45,7 +45,7 @@ def accuracy_tables(document: ResultDocument) -> list[Table]:
     if accuracy is None:
         return []
     caption = "Distance between computed and measured point, the readings not corrected"
-    stages = accuracy_stages(accuracy, validation)
+    stages = accuracy_stages(accuracy, validation, document.updated)
     floor = stages.noise_floor
     tables = [_distances("accuracy", caption, accuracy.unit, stages.position, floor)]
     if accuracy.orientation is not None:

@@ -55,7 +55,7 @@ def accuracy_bars(document: ResultDocument) -> list[Bar]:
     accuracy = document.accuracy
     if accuracy is None:
         return []
-    stages = accuracy_stages(accuracy, document.validation)
+    stages = accuracy_stages(accuracy, document.validation, document.updated)
     sizes = [
         (stage.name, stage.distances.rms, with_unit(stage.distances.p95, accuracy.unit))
         for stage in stages.position

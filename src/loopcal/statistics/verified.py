@@ -17,6 +17,7 @@ from loopcal.document.verdict import (
     Fact,
     Figure,
     Finding,
+    Named,
     Question,
     Where,
     answer_lines,
@@ -102,7 +103,7 @@ class Verification:
     unlike: tuple[str, ...] = ()
     read_as: str = ""
     sound: Answer | None = None
-    files: Mapping[str, str] = field(default_factory=dict)
+    files: Mapping[str, Named] = field(default_factory=dict)
 
     @cached_property
     def verdict(self) -> Mapping[Question, Answer]:

@@ -124,8 +124,10 @@ def run_verification(
         verification = verify(read.calibrated, data, remounted=changed, tolerance=tolerance)
     except InputError as error:
         raise error.at(str(first)) from None
-    typed = {"result": str(result), "readings": str(first), **project_beside(read.path.parent)}
-    verification = replace(verification, files=typed)
+    every = [readings] if isinstance(readings, str | Path) else readings
+    typed = {"result": str(result), **project_beside(read.path.parent)}
+    day = [str(file) for file in every]
+    verification = replace(verification, files={**typed, "readings": day})
     files: dict[Path, Data] = {}
     if out is not None:
         from loopcal.report.verification_page import verification_html

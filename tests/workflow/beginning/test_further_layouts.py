@@ -136,9 +136,34 @@ def matrices_below_each_other(w: World, folder: Path) -> list[str]:
     return [written(folder / "a.csv", {"Pose": ids(w, "{}"), **joints(w)}), "poses.txt"]
 
 
+def shots_named_after_their_pose(w: World, folder: Path) -> list[str]:
+    off = np.random.default_rng(1).normal(0.0, 1e-5, (2, *w.points.shape))
+    shots = np.stack([w.points + off[0], w.points + off[1], w.points - off[0] - off[1]], axis=1)
+    names = [f"p{i + 1}_t{k + 1}" for i in range(len(w.q)) for k in range(3)]
+    columns = {"Name": names, **xyz("{}", shots.reshape(-1, 3), "XYZ")}
+    order = np.random.default_rng(2).permutation(len(names))
+    columns = {k: np.array(v)[order] for k, v in columns.items()}
+    named = {"Name": ids(w, "p{}"), **joints(w)}
+    return [written(folder / "a.csv", named), written(folder / "points.csv", columns, digits=9)]
+
+
+def a_first_column_called_by_the_mark_of_comments(w: World, folder: Path) -> list[str]:
+    columns = {"#": ids(w, "{}"), **joints(w), **xyz("{}", w.points, "XYZ")}
+    return [written(folder / "a.csv", columns)]
+
+
+def turns_of_a_kawasaki(w: World, folder: Path) -> list[str]:
+    angles = Rotation.from_matrix(w.turns).as_euler("ZYZ", degrees=True)
+    columns = {**joints(w), **xyz("{}", w.points, "XYZ"), **of("OAT", angles)}
+    return [written(folder / "a.csv", columns)]
+
+
 @pytest.mark.parametrize(
     "maker",
     [
+        shots_named_after_their_pose,
+        a_first_column_called_by_the_mark_of_comments,
+        turns_of_a_kawasaki,
         matrices_below_each_other,
         commanded_ahead,
         one_name_twice,
@@ -166,7 +191,7 @@ def test_what_was_measured_is_read(tmp_path: Path, maker: Maker) -> None:
     assert np.allclose(np.column_stack([read[n] for n in names]), world.read, atol=1e-6)
     assert np.allclose(np.column_stack([read[n] for n in "xyz"]), world.points, atol=1e-6)
     forms = [family.form for family in project.mechanism.families]
-    six = maker in (unit_vectors, matrices_below_each_other)
+    six = maker in (unit_vectors, matrices_below_each_other, turns_of_a_kawasaki)
     assert forms == ["pose" if six else "point"]
 
 
@@ -264,6 +289,51 @@ def test_a_machine_is_about_as_long_as_it_travels(tmp_path: Path) -> None:
     written(tmp_path / "nc.csv", columns)
     made = lc.init(tmp_path / "nc.csv", dh=tmp_path / "dh.csv")
     assert np.allclose(made.dataset["x"], 1e-3 * points[:, 0], atol=1e-8)
+
+
+def test_points_of_a_turntable_are_about_as_far_apart_as_it_is_long(tmp_path: Path) -> None:
+    """Two axes that turn fix no length: balls fitted in m, mm and inches, each in its own unit."""
+    text = "a [mm],d [mm],alpha [deg],theta [deg]\n0,300,90,0\n0,50,0,0\n"
+    (tmp_path / "dh.csv").write_text(text, "utf-8")
+    rng = np.random.default_rng(26009)
+    q = np.degrees(rng.uniform([-1.6, -3.1], [1.6, 3.1], (24, 2)))
+    balls = [[100.0, 10.0, 50.0], [-50.0, 90.0, 50.0], [-60.0, -80.0, 90.0]]
+    turn = Rotation.from_euler("ZXZ", [[a, 90.0, c] for a, c in q], degrees=True)
+    arm = Rotation.from_euler("ZX", [[a, 90.0] for a, _ in q], degrees=True).apply([0, 0, 50.0])
+    S = Rotation.from_rotvec([0.002, -0.001, 0.8])
+    seen = np.stack([S.apply(arm + turn.apply(ball)) + AWAY for ball in balls], axis=1)
+    seen += rng.normal(0.0, 0.01, seen.shape)
+    each = {"Pos": np.repeat(np.arange(24.0), 3), "Ball": [f"K{k}" for k in (1, 2, 3)] * 24}
+    columns = {**each, **of("AC", np.repeat(q, 3, axis=0)), **of("XYZ", seen.reshape(-1, 3))}
+    written(tmp_path / "cmm.csv", columns)
+    made = lc.init(tmp_path / "cmm.csv", dh=tmp_path / "dh.csv")
+    read = np.column_stack([made.dataset[f"x_{k}"] for k in (1, 2, 3)])
+    assert np.allclose(read, 1e-3 * seen[:, :, 0], atol=1e-8)
+
+
+def test_a_robot_may_be_named_among_the_readings_and_by_its_option(tmp_path: Path) -> None:
+    world = World("six", 10)
+    described(world, tmp_path)
+    files = [tmp_path / tracker(world, tmp_path), tmp_path / "robot.urdf"]
+    named = {"Name": ids(world, "p{}"), **joints(world, "J{} [deg]")}
+    files.append(tmp_path / written(tmp_path / "a.csv", named))
+    made = lc.init(*files, urdf=tmp_path / "robot.urdf")
+    assert len(made.dataset) == len(world.q)
+
+
+def test_a_machine_of_two_limbs_is_told_to_state_what_is_observed(tmp_path: Path) -> None:
+    limb = """<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{0}"/>
+    <origin xyz="0.3 0 0.1"/><axis xyz="0 1 0"/><limit lower="-3" upper="3"/></joint>
+    <link name="{0}"/>"""
+    pairs = [("a0", "bed"), ("a1", "a0"), ("b0", "bed"), ("b1", "b0")]
+    limbs = [limb.format(*pair) for pair in pairs]
+    text = f'<robot name="two"><link name="bed"/>{"".join(limbs)}</robot>'
+    (tmp_path / "two.urdf").write_text(text, "utf-8")
+    rng = np.random.default_rng(3)
+    columns = of(["a0", "a1", "b0", "b1", "x", "y", "z"], rng.uniform(-1.0, 1.0, (20, 7)))
+    written(tmp_path / "a.csv", columns)
+    with refused("unknown-name", "--tip 'a1'", "several limbs", "--observe"):
+        lc.init(tmp_path / "a.csv", urdf=tmp_path / "two.urdf")
 
 
 def test_slides_and_the_points_that_they_move_are_told_by_the_user(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ from pathlib import Path
 from loopcal.companions.life.fleet import Fleet, learn
 from loopcal.companions.life.measured_machine import MeasuredMachine
 from loopcal.errors import InputError, UsageError
-from loopcal.estimation.result import UPDATED
 from loopcal.files.atomic import Data, write_all
 from loopcal.files.result.deployed import FLEET, note_deployed, result_path
 from loopcal.files.toml.writer import document
@@ -88,5 +87,4 @@ def _measured(result: Result | SavedResult, name: str) -> MeasuredMachine:
             code="not-converged",
             remedy="calibrate this machine again, or leave it out",
         )
-    updated = document.method_label == UPDATED
-    return MeasuredMachine.of(calibrated, document.data.used, updated=updated)
+    return MeasuredMachine.of(calibrated, document.data.used, updated=document.updated)

@@ -30,7 +30,7 @@ from loopcal.companions.life.courses import (
 from loopcal.companions.life.history_folder import Entries, Entry
 from loopcal.companions.life.joint_entry import Joint, causes
 from loopcal.document.plain import rebuilt
-from loopcal.estimation.result import UPDATED
+from loopcal.document.result_document import UPDATED
 from loopcal.lazy import cached_property
 from loopcal.presentation.shown import by_sd, columns, p_words, size, unit_shown, with_unit, wrapped
 from loopcal.small_samples import t_quantile

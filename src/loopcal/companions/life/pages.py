@@ -16,7 +16,6 @@ from loopcal.document.accuracy import Distances
 from loopcal.document.plain import rebuilt
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.tables import machine_table, shown_parameters
-from loopcal.estimation.result import UPDATED
 from loopcal.figures.figure import Figure
 from loopcal.figures.life import (
     Event,
@@ -163,7 +162,7 @@ Parts = tuple[list[str], list[Table | Figure]]
 def other_days(source: Source) -> Section | None:
     """What a result, if it is an update, and its notes say of other days; None: nothing."""
     notes = [note for note in source.deployed if note.kind in _OF_KIND]
-    if not notes and source.document.method_label != UPDATED:
+    if not notes and not source.document.updated:
         return None
     words, parts = _update(source.document)
     for number, note in enumerate(notes, 1):
@@ -189,7 +188,7 @@ def _update(document: ResultDocument) -> Parts:
         for p in shown_parameters(document.parameters, document.terms)
         if not p.fixed and p.prior_sd and p.sd
     ]
-    if document.method_label != UPDATED or not estimates:
+    if not document.updated or not estimates:
         return [], []
     shares = [sd / before for _, _, before, sd in estimates]
     words = (

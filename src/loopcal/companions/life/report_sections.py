@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from loopcal.estimation.result import UPDATED
 from loopcal.files.result.deployed import OTHER_DAYS
 from loopcal.report.source import Source
 from loopcal.report.templates import Section
@@ -18,7 +17,7 @@ def sections(source: Source) -> Iterator[Section]:
         from loopcal.companions.robot.report_section import deployed
 
         every.append(deployed(source))
-    if kinds.intersection(OTHER_DAYS) or source.document.method_label == UPDATED:
+    if kinds.intersection(OTHER_DAYS) or source.document.updated:
         from loopcal.companions.life.pages import other_days
 
         every.append(other_days(source))

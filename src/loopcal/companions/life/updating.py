@@ -37,6 +37,7 @@ from loopcal.arrays import Array
 from loopcal.companions.life.drift import CONDITIONS, Since, allowed, drift_of_conditions
 from loopcal.companions.life.earlier import Around, Earlier, Sloped
 from loopcal.document.fit import NoiseEntry
+from loopcal.document.result_document import UPDATED
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.fit import Fit
@@ -48,7 +49,7 @@ from loopcal.estimation.noise.variance_components import Component, estimate_rat
 from loopcal.estimation.problem.constants import with_latest
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.unknowns import Unknowns
-from loopcal.estimation.result import UPDATED, FitResult, Inherited
+from loopcal.estimation.result import FitResult, Inherited
 from loopcal.estimation.solve.in_memory import InMemory
 from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.merit import Evaluation

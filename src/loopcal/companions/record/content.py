@@ -156,7 +156,8 @@ class RecordContent:
         accuracy = self.document.accuracy
         if accuracy is None:
             return ()
-        stages = accuracy_stages(accuracy, self.document.validation).position
+        document = self.document
+        stages = accuracy_stages(accuracy, document.validation, document.updated).position
         return tuple(self._stage(stage) for stage in stages)
 
     def _stage(self, stage: Stage) -> RecordStage:

@@ -26,6 +26,8 @@ _SHARE_OF_STEP = 0.25
 """Rows of one time are nearer than this share of the time between rows."""
 ROUNDED = 1e-6
 """Readings that two tables share differ by no more than this share of their span."""
+_DIVIDED = re.compile(r"[\W_]|$")
+"""What may follow the name of a pose in that of a shot: P07_t1 is of P07."""
 _NUMBERED = re.compile(r"\D*0*(?P<number>\d+)\D*")
 """An id with one number in it: P07 and 7 are of one pose."""
 
@@ -53,7 +55,7 @@ def joined(sources: Sequence[Source]) -> Fields:
     Raises InputError where none of this is possible, or where tables have rows of unlike poses.
     """
     _refuse_rows_of_joints(sources)
-    sources = _named_by_files(sources)
+    sources = _named_after(_named_by_files(sources))
     first = sources[0]
     if len(sources) == 1:
         poses = first.ids or tuple(str(i) for i in range(1, len(first) + 1))
@@ -114,6 +116,26 @@ def _named_by_files(sources: Sequence[Source]) -> Sequence[Source]:
             named = replace(one, heading=heading(f"{source.path.stem}{unit}"))
             fields = tuple(named if f is one else f for f in source.fields)
             source = replace(source, fields=fields)
+        made.append(source)
+    return made
+
+
+def _named_after(sources: Sequence[Source]) -> Sequence[Source]:
+    """Tables whose rows are named after poses of the shortest, as P07_t1 and P07_t2 after P07, with
+    the ids of these and the means of several shots."""
+    poses = {*(min(sources, key=len).ids or ())}
+    made = []
+    for source in sources:
+        ids, keys = source.ids or (), list[str]()
+        for name in ids:
+            parts = [name[: match.start()] for match in _DIVIDED.finditer(name)]
+            keys.append(next((part for part in parts[::-1] if part in poses), name))
+        means = pooled(source.fields, keys) if keys != [*ids] else None
+        if means:
+            remark = f"{source.name}: its rows are named after poses, as {ids[0]}. {means.remark}"
+            remark = f"{source.remark} {remark}".strip()
+            rows, names = means.fields, tuple(means.keys)
+            source = Source(None, None, rows, names, "pose", (), source.name, remark)
         made.append(source)
     return made
 

@@ -26,7 +26,7 @@ from loopcal.files.recognition.joint_sets import (
 _LENGTH_WORDS = frozenset(words("columns", "length"))
 _POLAR = [words("columns", name) for name in ("range", "azimuth", "elevation")]
 _TURN_WORDS = frozenset(words("columns", "turn"))
-_TURNS = (("a", "b", "c"), ("w", "p", "r"), ("roll", "pitch", "yaw"))
+_TURNS = (("a", "b", "c"), ("w", "p", "r"), ("roll", "pitch", "yaw"), ("o", "a", "t"))
 _UNMEASURED = frozenset(words("columns", "unmeasured"))
 _COORDINATES = frozenset(words("columns", "coordinate"))
 _NO_PLACES = _UNMEASURED.union(words("columns", "temperature"), words("columns", "payload"))
@@ -221,7 +221,8 @@ def _with_joints(
         else "every column is a joint; no instrument is recognised",
         code="missing-column",
         remedy='name them "x", "y", "z" (a point), add "qw", "qx", "qy", "qz" (a pose), or name '
-        'one "length" (a wire)',
+        'one "length" (a wire). Other instruments, such as an inclinometer, stand in a mechanism '
+        "file: docs/reference/mechanism-file.md",
     )
 
 

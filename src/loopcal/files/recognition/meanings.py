@@ -46,6 +46,7 @@ _FORMS_BY_NAME: dict[tuple[str, ...], tuple[tuple[str, str, tuple[int, int, int]
     ("a", "b", "c"): (("turns A, B, C, Rz Ry Rx", "rz ry rx", (0, 1, 2)),),
     ("w", "p", "r"): (("turns W, P, R, Rz Ry Rx", "rz ry rx", (2, 1, 0)),),
     ("roll", "pitch", "yaw"): (("roll, pitch, yaw, Rz Ry Rx", "rz ry rx", (2, 1, 0)),),
+    ("o", "a", "t"): (("turns O, A, T, Rz Ry Rz", "rz ry rz", (0, 1, 2)),),
 }
 
 

@@ -172,11 +172,13 @@ def _which_chain(path: Path, every: Sequence[Branch], fitting: Sequence[Branch])
     likely = longest[:1]
     if len(longest) > 1 and longest[0].joints[:-1] == longest[1].joints[:-1]:  # two fingers
         likely = [b for b in longest if b.joints == longest[0].joints[:-1]] or likely
+    limbs = any(not {*longest[0].joints} & {*b.joints} for b in longest)
+    both = "; of several limbs state what is observed: --observe" if limbs else ""
     return InputError(
         f"{what} the joint columns of the readings",
         code="unknown-name",
         place=path.name,
-        remedy=f"state one of: {shown}" if shown else "name a URDF with moving joints",
+        remedy=f"state one of: {shown}{both}" if shown else "name a URDF with moving joints",
     ).offering(*(word for b in likely for word in ("--base", b.base, "--tip", b.tip)))
 
 

@@ -16,6 +16,8 @@ from loopcal.presentation.shown import significant
 MOST_TARGETS = 8
 _ALIKE = 1e-2
 """Shots of one pose agree to this share of the span of all poses."""
+_MOST = 0.9
+"""The share of the shots that agree."""
 ROUNDING = 1e-12
 """An sd below this share of the span comes from computing the mean."""
 
@@ -46,11 +48,12 @@ def pooled(fields: Sequence[Field], keys: Sequence[Any]) -> Shots | None:
         sums = np.bincount(rows[finite], field.values[finite], len(every))
         means = np.divide(sums, counts, out=np.full(len(every), np.nan), where=counts > 0)
         pooled.append(replace(field, values=means))
-        off = (field.values - means[rows])[finite]
+        off = (field.values - means[rows])[finite & (counts[rows] > 1)]
         # Pooled sd: each mean takes one degree of freedom of its shots.
         freedom = int(np.maximum(counts - 1, 0).sum())
         sd = float(np.sqrt(np.square(off).sum() / freedom)) if freedom else 0.0
-        same = np.abs(off).max(initial=0.0) <= _ALIKE * field.span
+        # A few shots may have failed: the fit names poses that do not belong.
+        same = not len(off) or np.quantile(np.abs(off), _MOST) <= _ALIKE * field.span
         alike += field in varying and bool(same)
         if same and sd > ROUNDING * field.span:
             scatters.append(f"{field.label} {significant(sd, 2)}")

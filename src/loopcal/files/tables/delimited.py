@@ -157,6 +157,8 @@ def _commented(
                 names = _without_empty_end(cut(line, delimiter))
             except csv.Error:
                 continue
+            if names and not names[0]:  # "#,x,y": the mark is a name, or stands before the names
+                names = ["#", *names[1:]][len(names) > width :]
             numeric = any(is_number(name, best.decimal) for name in names)
             if len({*names, ""}) == width + 1 == len(names) + 1 and not numeric:
                 return row.number, tuple(names)
@@ -380,7 +382,7 @@ def _above(data: bytes, first: int) -> list[Row]:
         start = data.rfind(b"\n", 0, end - 1) + 1
         line = data[start:end].decode("utf-8").strip()
         if line.startswith(("#", "%")):
-            comments.append(Row(number, line.lstrip("#%").strip()))
+            comments.append(Row(number, line.lstrip("#%").strip(" ")))
         end = start
     return comments
 

@@ -272,7 +272,8 @@ def initial_project(
         if samples := samples_of(readings):
             return _kept(from_samples(samples), folder, write=out is not None)
         robot, readings = among(readings, robot)
-    readings = [entry for entry in tables_of(readings) if str(entry) != str(robot.dh)]
+    described = {str(robot.dh), str(robot.urdf)}
+    readings = [entry for entry in tables_of(readings) if str(entry) not in described]
     if out is not None:
         from_files = all(isinstance(entry, str | Path) for entry in readings)
         names = (PROJECT,) if from_files else (PROJECT, READINGS)
@@ -326,7 +327,7 @@ def initial_project(
         statement = statement.remarked("mechanism", weak)
     odd = (*odd, *ordered)
     tables = {READINGS: _table(dataset, statement)} if statement.converted else {}
-    remarks = tuple(source.remark for source in sources if source.remark)
+    remarks = tuple(source.remark for source in every.sources if source.remark)
     remarks += tuple(row for rows in statement.remarks.values() for row in rows) + odd
     text = statement.text
     done = InitialProject(

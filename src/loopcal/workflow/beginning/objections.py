@@ -360,7 +360,8 @@ def _nothing(case: Case) -> Explanation:
         best.share,
         "implausible-readings",
         "the nominal machine does not describe these readings: in the best of all units and orders "
-        f"it misses them by {percent(best.share)} of their spread",
+        f"it misses them by {percent(best.share)} of their spread, with {names_of(joints)} as its "
+        f"joints and {names_of(read)} as readings",
         remedy,
     )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,9 @@ FAR = 10.0
 _SAMPLE, _FEW = 120, 40
 _AS_LARGE = 8.0
 """Between mm and cm lies a factor of 10."""
+_PROPORTION = 4.0
+"""A machine is no longer, and no shorter, than so many times its travel."""
+_Way = TypeVar("_Way")
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +186,12 @@ def every_way(
                 # 1e-12 keeps all meanings of readings that the machine fits exactly.
                 near = [m for m in tried if m.share < FAR * tried[0].share + 1e-12]
                 tried = _fitting(near, bodies, some, 4)
-                options.append([m for m in tried if m.share < CLEARLY * tried[0].share + 1e-12])
+                tried = [m for m in tried if m.share < CLEARLY * tried[0].share + 1e-12]
+                if tried and tried[0].share <= PLAUSIBLE:
+                    # A turntable fits in every unit: its axes fix no length.
+                    travels = [extent(np.reshape(m.position, (len(m.position), -1))) for m in tried]
+                    tried = in_proportion(machine, tried, travels)
+                options.append(tried)
             if not all(options):
                 continue
             options, fitting = _belonging(options, layout)
@@ -204,6 +213,13 @@ def as_large(meaning: Meaning, bodies: Bodies) -> bool:
         return True
     read, moved = extent(meaning.position), bodies.extent
     return moved < _AS_LARGE * read and read < _AS_LARGE * moved
+
+
+def in_proportion(machine: Machine, ways: list[_Way], travels: Iterable[float]) -> list[_Way]:
+    """Those that travel [m] about as far as the machine is long; all where none does."""
+    size = sum(abs(p.nominal) for p in machine.mechanism.parameters if p.unit == "m")
+    some = [size < _PROPORTION * moved < _PROPORTION**2 * size for moved in travels]
+    return [way for way, fits in zip(ways, some, strict=True) if fits] or ways
 
 
 def _belonging(options: list[list[Meaning]], layout: Layout) -> tuple[list[list[Meaning]], Layout]:

@@ -23,6 +23,7 @@ from loopcal.workflow.beginning.searching import (
     Machine,
     Understood,
     every_way,
+    in_proportion,
 )
 from loopcal.workflow.beginning.weighing import CONVINCING, compared_joints, measured_only
 
@@ -34,9 +35,6 @@ _COMMANDED = frozenset(words("performance", "commanded")) | frozenset(
     words("columns", "unmeasured")
 )
 
-# Chosen, not derived: between mm and cm lies a factor of 10.
-_PROPORTION = 4.0
-"""A machine is no longer, and no shorter, than so many times its travel."""
 _MIXED = 4
 """Ways with joints in units of their own that are looked at closely."""
 
@@ -137,10 +135,7 @@ def _in_proportion(machine: Machine, ways: list[Understood]) -> list[Understood]
     each = [tuple(zip(way.units, way.kinds, strict=True)) for way in ways]
     if len({tuple(u for u, si in units if si != "m") for units in each}) > 1:
         return ways
-    size = sum(abs(p.nominal) for p in machine.mechanism.parameters if p.unit == "m")
-    travels = [way.bodies.extent for way in ways]
-    some = [1.0 / _PROPORTION * size < moved < _PROPORTION * size for moved in travels]
-    return [way for way, fits in zip(ways, some, strict=True) if fits] or ways
+    return in_proportion(machine, ways, [way.bodies.extent for way in ways])
 
 
 def _alternatives(best: Understood, ways: Sequence[Understood]) -> tuple[str, ...]:
