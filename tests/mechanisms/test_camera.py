@@ -19,7 +19,8 @@ from loopcal.estimation.problem.error_modes import image_modes
 from loopcal.estimation.problem.pose_equations import pose_equations
 from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.estimation.solve.sweep import Sweeper
-from loopcal.mechanisms.cameras.lens import Intrinsics, project
+from loopcal.mechanisms.cameras.lens import Intrinsics, project, turning_radius
+from loopcal.mechanisms.instruments.camera import before_lens
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import OutputGroup
 from loopcal.statistics.region import _in_view
@@ -75,6 +76,23 @@ def mechanism(on: str, *, read: bool = True) -> Mechanism:
     nominal |= {f"eye_{n}": v for n, v in LENS.values.items()}
     look = lc.instruments.camera("eye", points=POINTS, on=on)
     return lc.assemble(lc.machines.free_body(read=read), [look], nominal)
+
+
+@pytest.mark.parametrize("on", ["base", "body"])
+def test_a_board_behind_the_lens_of_a_free_body_is_not_seen(on: str) -> None:
+    T = hands(40, 3)
+    T[::2, 2, 3] += 3.0
+    T[::3, :3, :3] = T[::3, :3, :3] @ Rotation.from_rotvec((0.0, 3.0, 0.0)).as_matrix()
+    far, near = placed(FAR), placed(NEAR)
+    way = far @ T @ near if on == "base" else np.linalg.inv(far @ T @ near)
+    X = np.array([(*p, 1.0) for p in POINTS.values()]).T
+    x, y, z = (way @ X)[:, :3].transpose(1, 0, 2)
+    most = turning_radius(LENS.lens, LENS.values)
+    seen = ((z > 0.0) & (np.hypot(x, y) < most * z)).all(axis=1)
+    stated = readings(T, np.zeros((12, 2, 40))) | dict.fromkeys(("wx", "wy", "wz"), np.zeros(40))
+    made = mechanism(on)
+    assert 5 < seen.sum() < 35
+    np.testing.assert_array_equal(before_lens(made, made.families[0], stated, 40), seen)
 
 
 @pytest.mark.parametrize("on", ["base", "body"])

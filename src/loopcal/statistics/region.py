@@ -111,7 +111,8 @@ def _region(
         pixels = predict_outputs(solved, values, *now_at, calibrated.names)
         views = [_in_view(corrected, names, group, pixels, beyond) for group in groups]
         views = [
-            view & _before(mechanism, group, x) for view, group in zip(views, groups, strict=True)
+            view & _before(mechanism, group, x, constants)
+            for view, group in zip(views, groups, strict=True)
         ]
         seen = np.any(views, axis=0)
         kept = np.flatnonzero(seen)[:_POSES]
@@ -132,7 +133,8 @@ def _region(
         groups, of_fit, of_region, of_bounds, strict=True
     ):
         out = group.image and ~(
-            _in_view(corrected, names, group, predicted, beyond) & _before(mechanism, group, x)
+            _in_view(corrected, names, group, predicted, beyond)
+            & _before(mechanism, group, x, constants)
         )
         # Of poses in which an instrument read nothing, no data say how sure it is there.
         seen = read[[names.index(q) for q in group.outputs]].any(axis=0)
@@ -285,10 +287,13 @@ def _in_view(
     return np.asarray(inside.all(axis=0))
 
 
-def _before(mechanism: Mechanism, group: OutputGroup, x: Array) -> NDArray[np.bool_]:
+def _before(
+    mechanism: Mechanism, group: OutputGroup, x: Array, constants: Array
+) -> NDArray[np.bool_]:
     """(N,) the poses (k, N) of a region in which a board is before the lens of a camera."""
     family = next(one for one in mechanism.families if one.name == group.instrument)
     readings = dict(zip(mechanism.tape.quantities, np.nan_to_num(x), strict=True))
+    readings |= dict(zip(mechanism.pose_constants, constants, strict=True))
     return before_lens(mechanism, family, readings, x.shape[1])
 
 

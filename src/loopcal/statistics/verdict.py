@@ -91,7 +91,8 @@ def _images_to_take(document: ResultDocument) -> str:
     if _cameras_alone(document):
         return _MORE_IMAGES
     accuracy = document.accuracy
-    read = {*TURNS} <= document.mechanism.quantities.keys()
+    machine = document.mechanism
+    read = machine is not None and {*TURNS} <= machine.quantities.keys()
     return _MORE_OF_A_HAND if accuracy and accuracy.places and read else ""
 
 

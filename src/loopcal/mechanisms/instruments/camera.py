@@ -19,6 +19,7 @@ from loopcal.mechanisms.chain import Step, frames, product
 from loopcal.mechanisms.frame import ChainFrame, Frame, Values, Vector
 from loopcal.mechanisms.machine import Instrument, recorded
 from loopcal.mechanisms.mechanism import PIXELS, Family, Mechanism
+from loopcal.mechanisms.parallel.free_body import COLUMNS, pose_read
 from loopcal.mechanisms.parameters import Parameter
 from loopcal.mechanisms.placement import inverse
 from loopcal.mechanisms.station import MOTIONS, Name, Station, placed_by
@@ -343,11 +344,14 @@ def all_cameras(mechanism: Mechanism) -> tuple[CameraEntry, ...]:
 def boards_in_camera(
     mechanism: Mechanism, family: Family, readings: Mapping[str, NDArray[np.float64]], count: int
 ) -> NDArray[np.float64]:
-    """(N, 4, 4) of the board that a camera of a tree of bodies sees, in the camera."""
-    assert mechanism.tree is not None
+    """(N, 4, 4) of the board that a camera sees, in the camera; of a tree of bodies or of one body
+    whose pose is read; readings: with the known constants."""
     eye, board = family.readings[0].split(":")[:2]
     values = {p.name: p.nominal for p in mechanism.parameters}
-    *_, (R, origin) = frames(mechanism.tree.path(family.on, family.against), readings, values)
+    if mechanism.tree is None:
+        R, origin = pose_read(readings)
+    else:
+        *_, (R, origin) = frames(mechanism.tree.path(family.on, family.against), readings, values)
     T = np.tile(np.eye(4), (count, 1, 1))
     T[:, :3, :3], T[:, :3, 3] = R, origin
     eyes, boards = (product(Station(name).steps, {}, values) for name in (eye, board))
@@ -359,9 +363,10 @@ def before_lens(
     mechanism: Mechanism, family: Family, readings: Mapping[str, NDArray[np.float64]], count: int
 ) -> NDArray[np.bool_]:
     """(N,) whether all of the board is in front of the camera, and where its lens does not turn
-    back: of what is elsewhere a pixel is computed too, but no image shows it."""
+    back: of what is elsewhere a pixel is computed too, but no image shows it; readings: as of
+    `boards_in_camera`."""
     entry = next((one for one in all_cameras(mechanism) if one.instrument == family.name), None)
-    if entry is None or mechanism.tree is None:
+    if entry is None or not (mechanism.tree or {*COLUMNS} <= readings.keys()):
         return np.ones(count, dtype=bool)
     lens, M = entry.intrinsics, boards_in_camera(mechanism, family, readings, count)
     x, y, z = np.moveaxis(M[:, :3, :3] @ entry.board.xyz.T + M[:, :3, 3:], 1, 0)

@@ -8,12 +8,14 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from loopcal.arrays import Array
 from loopcal.expressions.vectors import vector
 from loopcal.keys import Key
 from loopcal.mechanisms.frame import BodyFrame, Frame, Values
 from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.parallel.parts import Name, starts
+from loopcal.mechanisms.rotations import rotations
 
 POSITION, TURNS = ("x", "y", "z"), ("wx", "wy", "wz")
 BEGIN = ("x0", "y0", "z0")
@@ -68,6 +70,16 @@ def free_body(
         implied=dict.fromkeys(TURNS, 0.0) if read else {},
         description={"type": "free-body", "read": read, "home": dict(home or {})},
     )
+
+
+def pose_read(readings: Mapping[str, Array]) -> tuple[Array, Array]:
+    """Rotations (N, 3, 3) and places (N, 3) [m] of such a body.
+
+    readings: (N,) each, with the known constants.
+    """
+    turned = np.moveaxis(_turned(*(readings[w] for w in TURNS)), 2, 0)
+    R = rotations(np.stack([readings[c] for c in COLUMNS], axis=-1)) @ turned
+    return R, np.stack([readings[c] + readings.get(f"{c}0", 0.0) for c in POSITION], axis=-1)
 
 
 def _turned(a: Any, b: Any, c: Any) -> Any:
