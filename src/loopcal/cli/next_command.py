@@ -28,6 +28,7 @@ _OTHER_FILE = ("missing-file", "wrong-file-type", "no-data", "invalid-syntax", "
 _OF_PROJECTS = ("calibrate", "check", "plan", "simulate")
 _OF_RESULTS = ("predict", "compare", "report", "export", "verify", "update", "correct", "record")
 _CAPITALS = re.compile(r"[A-Z]{2,}(?:\.[a-z]+|\.{3})?")
+_OPTION = re.compile(r"--[a-z][a-z-]+")
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 
@@ -57,8 +58,9 @@ def fill_in(error: LoopcalError, words: Sequence[str]) -> None:
         if len(mended) > 1:
             error.command = join(mended)
             return
-    # A file is mended for the same command; other arguments need its help.
-    error.again = isinstance(error, InputError)
+    # A file is mended for the same command; other arguments, and further ones, need its help.
+    further = {*_OPTION.findall(error.remedy or "")} - {*words}
+    error.again = isinstance(error, InputError) and not further
     error.command = join(["loopcal", *(words if error.again else [*words[:1], "--help"])])
 
 
