@@ -78,6 +78,12 @@ def test_a_pose_that_does_not_fit_is_left_out_of_an_update() -> None:
     )
     assert ("nominal" in of_first, "nominal" in of_update) == (True, False)
     assert "before the update" in of_update - of_first
+    check = lc.verify(first, later.take(np.flatnonzero(~wrong)))
+    assert found.document.accuracy is not None
+    assert check.calibrated is not None
+    before = found.document.accuracy.nominal
+    assert before is not None
+    assert before.rms == pytest.approx(check.calibrated.rms, rel=1e-2)
 
 
 def half(same_place: bool) -> tuple[lc.Result, lc.Result]:

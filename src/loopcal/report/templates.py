@@ -124,7 +124,7 @@ GLOSSARY = {
     "nominal, best placed": "Computed with the values of the drawing after fitting where the "
     "machine stands and where the target is mounted.",
     "before the update": "Computed with the values of the earlier calibration, where the machine "
-    "stands now and with what was estimated anew.",
+    "stands now.",
     "calibrated": "In-sample: on the poses used for the fit. Expect worse on other poses.",
     "on poses not used": "Out-of-sample: predicted by fits that did not use these poses.",
     "in regions not used": "Predicted by fits that used no pose of that region of the joints.",

@@ -198,7 +198,7 @@ def updated(
         )
         noted = () if held else calibrated.noise
         handed_on = Inherited(prior.widened(result), terms, noted, calibrated.conditions)
-        result = replace(result, inherited=handed_on)
+        result = replace(result, inherited=handed_on).with_parts(nominal=allowance.before)
     result = result.noted(*allowance.words, *([CONDITIONS] if conditions.size else []))
     check = allowance.check
     result = result.noted(*filter(None, [check.read_as]), *check.unlike)
