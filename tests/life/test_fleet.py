@@ -17,7 +17,7 @@ from loopcal.companions.life.measured_machine import MeasuredMachine, machine_pa
 from loopcal.companions.life.spread import Spread
 from loopcal.statistics.calibrated import Calibrated
 from tests.command_line import run_here as run
-from tests.life.test_updating import PROJECT
+from tests.life.test_updating import PROJECT, straight
 from tests.refusals import refused
 
 
@@ -71,12 +71,7 @@ def test_a_machine_ten_spreads_off_is_found_and_its_parameter_named() -> None:
 
 
 def test_a_calibration_that_began_from_a_prior_says_what_its_readings_alone_say() -> None:
-    line = lc.Mechanism.from_function(
-        lambda x, p: [x.y - p.a * x.q - p.b],
-        {"q": "m", "y": "m"},
-        {"a": (1.0, "1"), "b": (0.0, "m")},
-        outputs=("y",),
-    )
+    line = straight()
     rng = np.random.default_rng(0)
     q = rng.uniform(0.0, 1.0, 20)
     data = {"q": q, "y": 1.1 * q + 0.2 + 1e-2 * rng.standard_normal(20)}

@@ -37,13 +37,17 @@ def sds(result: FitResult) -> np.ndarray:
     return np.array([result.sd[name] for name in result.estimated], dtype=float)
 
 
-def test_in_a_linear_problem_it_equals_fitting_everything_at_once() -> None:
-    line = lc.Mechanism.from_function(
+def straight() -> lc.Mechanism:
+    return lc.Mechanism.from_function(
         lambda x, p: [x.y - p.a * x.q - p.b],
         {"q": "m", "y": "m"},
         {"a": (1.0, "1"), "b": (0.0, "m")},
         outputs=("y",),
     )
+
+
+def test_in_a_linear_problem_it_equals_fitting_everything_at_once() -> None:
+    line = straight()
     rng = np.random.default_rng(0)
     q = rng.uniform(0.0, 1.0, 40)
     y = 1.1 * q + 0.2 + 1e-3 * rng.standard_normal(40)
@@ -81,8 +85,7 @@ def test_a_pose_that_does_not_fit_is_left_out_of_an_update() -> None:
     check = lc.verify(first, later.take(np.flatnonzero(~wrong)))
     assert found.document.accuracy is not None
     assert check.calibrated is not None
-    before = found.document.accuracy.nominal
-    assert before is not None
+    before = found.document.accuracy.before
     assert before.rms == pytest.approx(check.calibrated.rms, rel=1e-2)
 
 
@@ -200,12 +203,7 @@ def test_sds_are_learnt_from_the_poses_of_both_days() -> None:
 
 def test_sds_of_which_only_the_sum_is_seen_are_as_sure_as_it_after_an_update() -> None:
     """Each alone is open, so that the next check saw nothing, or took both for known."""
-    mechanism = lc.Mechanism.from_function(
-        lambda x, p: [x.y - p.a * x.q - p.b],
-        {"q": "m", "y": "m"},
-        {"a": (1.0, "1"), "b": (0.0, "m")},
-        outputs=("y",),
-    )
+    mechanism = straight()
     rng = np.random.default_rng(0)
     q = rng.uniform(0.0, 1.0, 60)
     y = 1.1 * q + 0.2 + 3e-3 * rng.standard_normal(60)

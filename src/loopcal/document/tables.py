@@ -28,8 +28,6 @@ from loopcal.presentation.shown import (
     with_unit,
 )
 
-_NOMINAL = "nominal"
-
 
 @dataclass(frozen=True)
 class Stage:
@@ -54,8 +52,7 @@ def accuracy_stages(
 ) -> Stages:
     """What the tables of accuracy show; several instruments each have lines of their own.
 
-    updated: the fit began with an earlier calibration instead of the drawing, and knows how far
-    off this was.
+    updated: the fit began with an earlier calibration instead of the drawing.
     """
     held = validation or ValidationEntry({}, "", 0, None, None)
     unseen = {e.instrument: e for e in held.by}
@@ -68,19 +65,19 @@ def accuracy_stages(
         else:
             positions.append(_Row(e.instrument, e.position, held_out.position))
             turns.append(_Row(e.instrument, e.orientation, held_out.orientation))
-    position = list(_stages(positions, accuracy.unit, drawn=not updated))
-    if accuracy.nominal is not None:
+    first = "before the update" if updated else "nominal"
+    position = list(_stages(positions, accuracy.unit, first))
+    if accuracy.nominal is not None and not updated:
         # After the last "nominal", for several instruments have one each.
-        last = sum(stage.name == _NOMINAL for stage in position)
-        name = "before the update" if updated else "nominal, best placed"
-        position.insert(last, Stage(name, "", accuracy.nominal))
+        last = max(i for i, stage in enumerate(position) if stage.name == first)
+        position.insert(last + 1, Stage("nominal, best placed", "", accuracy.nominal))
     blocked = validation and validation.blocked and validation.blocked.accuracy
     if blocked:
         position.append(Stage("in regions not used", "", blocked))
     images = validation and validation.images and validation.images.accuracy
     if images:
         position.append(Stage("in image regions not used", "", images))
-    return Stages(tuple(position), _stages(turns, "rad", drawn=not updated), accuracy.noise_floor)
+    return Stages(tuple(position), _stages(turns, "rad", first), accuracy.noise_floor)
 
 
 @dataclass(frozen=True)
@@ -90,10 +87,9 @@ class _Row:
     unseen: Distances | None
 
 
-def _stages(rows: Sequence[_Row], unit: str, *, drawn: bool) -> tuple[Stage, ...]:
+def _stages(rows: Sequence[_Row], unit: str, first: str) -> tuple[Stage, ...]:
     shown = [(r, r.deviation) for r in rows if r.deviation is not None and r.deviation.unit == unit]
-    before = shown if drawn else []
-    stages = [Stage(_NOMINAL, r.instrument, deviation.before) for r, deviation in before]
+    stages = [Stage(first, r.instrument, deviation.before) for r, deviation in shown]
     stages += [Stage("calibrated", r.instrument, deviation.after) for r, deviation in shown]
     for row, _ in shown:
         if row.unseen is not None:

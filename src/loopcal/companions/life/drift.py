@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from scipy.stats import binom, chi2
 
 from loopcal.arrays import Array
-from loopcal.document.accuracy import Distances
 from loopcal.errors import InputError, unknown_name
 from loopcal.estimation.noise.search import Bounds, search
 from loopcal.estimation.noise.term_scales import Sums, TermFit, evaluate, term_system
@@ -84,12 +83,11 @@ class Allowance:
 
     drift: (n_all, k) steps [SI] of one sd of each independent change; check: whether the readings
     are of the calibrated machine after it; words: a remark on each change that the check found and
-    the update follows; before: accuracy of the calibration as it was, without these changes.
+    the update follows.
     """
 
     drift: Array
     check: Verification
-    before: Distances | None
     words: tuple[str, ...] = ()
 
     @property
@@ -118,8 +116,7 @@ def allowed(calibrated: Calibrated, data: Dataset, since: Since, noise: Noise | 
         """Where these have moved: no line from where the calibration was reaches a large change."""
         machine, readings = drifting.after(moved)
         drifted = machine.drifted(drift)
-        check = verified(drifted, readings, noise, since.remounted)
-        return Allowance(drift, check, check.calibrated)
+        return Allowance(drift, verified(drifted, readings, noise, since.remounted))
 
     def followed(allowance: Allowance, within: Container[str] | None = None) -> Allowance:
         """With the changes that its check found; itself where they are none, or not all within."""
@@ -136,8 +133,7 @@ def allowed(calibrated: Calibrated, data: Dataset, since: Since, noise: Noise | 
         columns = drifting.halfway(moved).columns(sds)
         wider = checked(np.hstack([allowance.drift, columns]), moved)
         words = tuple(followed_words(change, sds) for change in changes)
-        wider = replace(wider, words=words, before=allowance.before)
-        return wider if wider.explained else allowance
+        return replace(wider, words=words) if wider.explained else allowance
 
     every = checked(drifting.columns(drifting.stated(since.drift)))
     roles = {key: sd for key, sd in since.drift.items() if key in DRIFTING}

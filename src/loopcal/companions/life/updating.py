@@ -190,6 +190,8 @@ def updated(
         around = around + share * (result.solution.parameters - around)
         stepped = step
     assert result is not None
+    # It began where the round before it ended; the update begins with the calibration.
+    result = replace(result, problem=replace(result.problem, start=placed.parameters))
     with one_blas_thread():
         terms = (
             calibration.terms_with_parts()
@@ -198,7 +200,7 @@ def updated(
         )
         noted = () if held else calibrated.noise
         handed_on = Inherited(prior.widened(result), terms, noted, calibrated.conditions)
-        result = replace(result, inherited=handed_on).with_parts(nominal=allowance.before)
+        result = replace(result, inherited=handed_on)
     result = result.noted(*allowance.words, *([CONDITIONS] if conditions.size else []))
     check = allowance.check
     result = result.noted(*filter(None, [check.read_as]), *check.unlike)

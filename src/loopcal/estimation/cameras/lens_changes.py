@@ -37,7 +37,7 @@ def turned(reading: Reading, turn: str) -> Reading | None:
 
 
 def cut(reading: Reading) -> Reading | None:
-    """With the principal points that fit, of images whose size nobody states."""
+    """Lenses with the principal points that fit the images, whose size is left open."""
     few = reading.thinned(60, 12)
     best = placed(few, view_poses(few), ("cx", "cy"), iterations=40)
     if best is None:

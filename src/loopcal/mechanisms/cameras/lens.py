@@ -45,9 +45,9 @@ _NEVER_ZERO = 1e-24
 class Intrinsics:
     """A camera without a place: focal lengths and principal point [px], distortion, image size.
 
-    distortion: in the order of `LENSES[lens]`, as OpenCV writes them; image: width and height [px],
-    None where nobody said; rectified: fx, fy, cx, cy [px] of images that were made straight, where
-    they are stated. Raises InputError for another lens or number of coefficients.
+    distortion: in the order of `LENSES[lens]`, as OpenCV writes them; image: width and height [px];
+    rectified: fx, fy, cx, cy [px] of the rectified images. Both are None where they are not stated.
+    Raises InputError for another lens or number of coefficients.
     """
 
     lens: str

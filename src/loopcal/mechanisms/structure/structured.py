@@ -194,7 +194,7 @@ def loadable(mechanism: Mechanism) -> Mechanism:
         before.get(p.name) or replace(p, prior_sd=usual.get(p.name, p.prior_sd))
         for p in made.parameters
     )
-    # After an update each parameter has an sd of its own, and is in no term.
+    # Terms stay as they are: after an update no parameter belongs to one.
     return replace(made, parameters=Parameters(tuple(every)), terms=mechanism.terms)
 
 
