@@ -289,7 +289,7 @@ def open_folder(folder: Path, study: Study) -> None:
                 code="unreadable-file",
                 place=str(folder),
                 remedy="choose another folder with --out, or delete this one",
-            )
+            ).offering("--out", f"{folder}-2")
         return
     about = {"schema": 1, "title": study.title, "fingerprint": study.fingerprint}
     write_atomic(path, marked_json(about))
