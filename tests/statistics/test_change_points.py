@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from scipy.special import betainc
 
 import loopcal as lc
 from analyses.gauntlet_worlds import Event, World, in_one_corner, nothing
@@ -18,7 +19,7 @@ from loopcal.chi_squared import tail
 from loopcal.document.change_points import Change, ChangePoint
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.mechanisms.station import Station, pose_of
-from loopcal.statistics.estimated import log_tail
+from loopcal.statistics.estimated import log_share, log_tail
 from loopcal.statistics.findings import as_fitted, sized
 from loopcal.statistics.verdict import findings_of
 from tests.estimation.test_real_data import RIGHT, left_arm, measured
@@ -278,6 +279,16 @@ def test_the_log_of_a_tail_goes_on_where_the_tail_underflows() -> None:
     assert log_tail(20.0, 3) == pytest.approx(np.log(tail(20.0, 3)))
     below, above = log_tail(1240.0, 3), log_tail(1320.0, 3)
     assert above - below == pytest.approx(-40.0 + 0.5 * np.log(1320 / 1240), abs=0.01)
+
+
+@pytest.mark.parametrize("spare", [12.0, 25.5, 80.0])
+def test_a_share_of_the_squares_has_the_tail_of_beta(spare: float) -> None:
+    """Within a third where it matters: at shares that decide, log p is off by a few hundredths."""
+    for rank in (1, 2, 3, 6):
+        for share in (0.1, 0.4, 0.7):
+            exact = float(np.log(betainc(0.5 * spare, 0.5 * rank, 1.0 - share)))
+            assert log_share(share, rank, spare) == pytest.approx(exact, abs=0.3, rel=0.01)
+            assert rank != 2 or log_share(share, rank, spare) == pytest.approx(exact)
 
 
 def test_without_shifts_mechanism_and_data_stay() -> None:

@@ -31,10 +31,14 @@ def calibrated(world: World) -> lc.Result:
 
 
 def later(
-    world: World, seed: int = 5, tamper: Callable[..., Any] | None = None, **happened: Any
+    world: World,
+    seed: int = 5,
+    tamper: Callable[..., Any] | None = None,
+    poses: int = 30,
+    **happened: Any,
 ) -> lc.Verification:
     """The same machine on another day, on which something happened; tamper: to the file."""
-    made = replace(world, poses=30, **happened).made(
+    made = replace(world, poses=poses, **happened).made(
         np.random.default_rng(0), np.random.default_rng(seed)
     )
     readings = made.readings
@@ -45,6 +49,10 @@ def later(
 
 def slipped(run: Run, rng: Rng) -> None:
     run.target[20:] += np.array([0.6e-3, -0.4e-3, 0.5e-3])
+
+
+def slipped_early(run: Run, rng: Rng) -> None:
+    run.target[5:] += np.array([0.6e-3, -0.4e-3, 0.5e-3])
 
 
 def drifting(run: Run, rng: Rng) -> None:
@@ -123,6 +131,29 @@ class TestEach:
         )
         assert found.changes is not None
         assert found.changes.found == ()  # nothing had changed before the run
+
+    @pytest.mark.parametrize("poses", [9, 12, 16])
+    def test_so_is_one_that_slips_in_a_short_run(self, world: World, poses: int) -> None:
+        """It was "an error that no change explains", or another machine of the type."""
+        found = later(world, poses=poses, event=slipped_early)
+        answer = found.verdict["consistent"]
+        assert (answer.passed, answer.code) == (False, "change-points")
+        (point,) = found.shifts.told_apart
+        assert (point.pose, point.moved) == ("6", "target")
+        assert {n: c.size for n, c in point.changes.items()} == pytest.approx(
+            {"tool_x": 0.6e-3, "tool_y": -0.4e-3, "tool_z": 0.5e-3}, abs=0.15e-3
+        )
+        assert found.changes is not None
+        assert found.changes.found == ()
+
+    def test_what_moves_in_clean_short_runs_is_seldom_named(self, world: World) -> None:
+        """At 1 % two or more of 24 are rarer than 1 in 40."""
+        moved = [
+            later(world, seed, poses=poses).shifts.found
+            for poses in (8, 10, 14)
+            for seed in range(200, 208)
+        ]
+        assert sum(bool(found) for found in moved) < 2
 
     def test_a_drift_of_the_instrument_is_named(self, world: World) -> None:
         found = later(world, event=drifting)

@@ -29,7 +29,7 @@ from loopcal.estimation.dependence.dependence import joint_rows
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.lazy import cached_property
-from loopcal.statistics.estimated import log_tail
+from loopcal.statistics.estimated import log_share
 from loopcal.statistics.ordered_system import Fitted, OrderedSystem, ordered_system
 from loopcal.statistics.pose_delay import pose_delay
 from loopcal.statistics.possible_changes import (
@@ -177,8 +177,10 @@ class Search:
         system: OrderedSystem,
         level: float = NOT_SEARCHED.level,
         causes: Sequence[Cause] = ALONG_A_RUN,
+        least: int = LEAST,
     ) -> None:
-        self.problem, self.level, self.system = system.problem, level, system
+        """least: poses between two changes, and before the first and after the last."""
+        self.problem, self.level, self.system, self.least = system.problem, level, system, least
         changes = possible(self.problem, causes)
         # Stations may have unlike scales all along, which looks like a step between them.
         scaled = [column for _, column in scale_columns(system)[1:]]
@@ -200,7 +202,7 @@ class Search:
                 break
             # `beside` puts columns first; `_without` counts on the same order of steps.
             steps, fit = [best, *steps], fit.beside(best.columns).again()
-        fit, steps = self._without_ramps(fit, steps)
+        fit, steps = self._significant(*self._without_ramps(fit, steps))
         smooth = self._smooth(fit, steps)
         # Sized beside all others, before any of them leaves the fit.
         unsure = tuple(self._point(fit, steps, step) for step in smooth)
@@ -254,6 +256,21 @@ class Search:
             if others and log_p >= math.log(self.level):
                 fit, steps = rest.again(), others
         return fit, steps
+
+    def _significant(self, fit: Fitted, steps: list[_Step]) -> tuple[Fitted, list[_Step]]:
+        """Without steps that later ones made needless, the least significant first."""
+        while steps:
+            logs = [self._log_p(self._without(fit, steps, s), s, fit.spare) for s in steps]
+            if max(logs) < math.log(self.level):
+                break
+            least = steps[int(np.argmax(logs))]
+            fit = self._without(fit, steps, least).again()
+            steps = [s for s in steps if s is not least]
+        return fit, steps
+
+    def _log_p(self, fit: Fitted, step: _Step, spare: float) -> float:
+        """Of a step beside a fit without it, corrected; spare: left where it is there."""
+        return fit.step(step.columns).log_p(spare) + math.log(self.tests[step.ramp])
 
     def _distinct(self, fit: Fitted, steps: Sequence[_Step]) -> list[_Step]:
         """The steps that an error of the machine model along these poses does not look like."""
@@ -343,6 +360,11 @@ class Search:
         log_p = fit.step(curve).log_p() + math.log(self.tests[True])
         return BENDS if log_p < math.log(self.level) else 0
 
+    def _beside(self, gain: float, rank: int, fit: Fitted, *, ramp: bool) -> float:
+        """Log of the corrected p-value of a gain in units of the scatter without the change."""
+        spare = max(fit.spare - rank, 1.0)
+        return log_share(gain / fit.spare, rank, spare) + math.log(self.tests[ramp])
+
     def _best(
         self,
         fitted: Fitted,
@@ -354,10 +376,10 @@ class Search:
         """The most significant further step, and the log of its corrected p-value."""
         N = len(self.system.E)
         free = np.zeros(N, dtype=bool)
-        free[LEAST : N - LEAST + 1] = True
+        free[self.least : N - self.least + 1] = True
         for step in steps:
             if not step.ramp:
-                free[max(step.at - LEAST + 1, 0) : step.at + LEAST] = False
+                free[max(step.at - self.least + 1, 0) : step.at + self.least] = False
         trials: list[tuple[float, float, _Step]] = []
         for candidate in candidates:
             change = candidate.change
@@ -366,11 +388,12 @@ class Search:
             # Gains of different rank cannot be compared, only their p-values.
             for rank in np.unique(ranks[free & (ranks > 0)]).tolist():
                 at = int(np.argmax(np.where(free & (ranks == rank), gains, -1.0)))
-                log_p = log_tail(float(gains[at]), rank) + math.log(self.tests[False])
+                log_p = self._beside(float(gains[at]), rank, fitted, ramp=False)
                 trials.append((log_p + rare, log_p, _Step(candidate, at)))
             ramp = _Step(candidate, *candidate.seen)
             if ramps and change.ramps and ramp not in steps:
-                log_p = fitted.step(ramp.columns).log_p() + math.log(self.tests[True])
+                one = fitted.step(ramp.columns)
+                log_p = self._beside(one.gain, one.rank, fitted, ramp=True)
                 trials.append((log_p, log_p, ramp))
         if not trials:
             return None, 0.0

@@ -26,8 +26,7 @@ from loopcal.estimation.dependence.dependence import joint_rows, pose_order
 from loopcal.estimation.faults.search import column_faults
 from loopcal.estimation.problem.problem import Problem
 from loopcal.statistics.another_day import Day
-from loopcal.statistics.change_points import DRIFTING, Search, searchable
-from loopcal.statistics.change_tests import Explained
+from loopcal.statistics.change_points import DRIFTING, LEAST, MOST_POSES, Search
 from loopcal.statistics.innovation import Linearised
 from loopcal.statistics.ordered_system import Fitted, OrderedSystem
 from loopcal.statistics.possible_changes import ALONG_A_DAY
@@ -39,6 +38,9 @@ _LEVEL = 0.01
 """Probability of calling any of the poses unlike the others where all are good."""
 # Chosen, not derived: where more are unlike the others, it is the machine or the sds.
 _MOST = 0.1
+# Chosen, not derived: nine equations of a held machine show a target that moved.
+_LEAST = 3
+"""Poses between two changes of a short run; of a longer one a quarter of it, up to `LEAST`."""
 NO_POSES: NDArray[np.intp] = np.zeros(0, dtype=np.intp)
 
 
@@ -93,13 +95,14 @@ def faults(day: Day, linear: Linearised) -> tuple[ColumnFault, ...]:
     return column_faults(replace(problem, mechanism=problem.mechanism.with_parameters(flat)))
 
 
-def searched(explained: Explained) -> Run:
-    """What happened during the run of a day, beside what changed before it."""
-    linear = explained.linear
-    system = _system(linear, explained.columns)
-    if not searchable(len(linear.placement.problem.poses)):
+def searched(linear: Linearised, changed: Array) -> Run:
+    """What happened during the run of a day, beside changes before it with these columns (R, d)."""
+    system = _system(linear, changed)
+    count = len(linear.placement.problem.poses)
+    if not 2 * _LEAST < count <= MOST_POSES:
         return Run(outliers=_outliers(linear, system.fitted()))
-    shifts, fit = Search(system, causes=ALONG_A_DAY).run()
+    least = min(max(_LEAST, count // 4), LEAST)
+    shifts, fit = Search(system, causes=ALONG_A_DAY, least=least).run()
     return Run(_clear(shifts, linear.placement.problem), _outliers(linear, fit))
 
 

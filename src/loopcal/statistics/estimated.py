@@ -68,12 +68,25 @@ class Estimated:
 
     def log_p(self, spare: float = math.inf) -> float:
         """Log of the probability of such a gain; spare: as in `before`."""
-        return log_tail(self.before(spare), self.rank)
+        if math.isinf(spare):
+            return log_tail(self.gain, self.rank)
+        return log_share(self.gain / (spare + self.gain), self.rank, spare)
+
+
+def log_share(share: float, rank: int, spare: float) -> float:
+    """Log of the probability that so many columns explain by chance such a share of the squares.
+
+    The share follows Beta(rank / 2, spare / 2), with `spare` degrees of freedom beside the columns.
+    As chi-squared it is -(spare + rank / 2 - 1) log(1 - share) (Bartlett 1938, A note on tests of
+    significance in multivariate analysis), which is exact for two columns.
+    """
+    left = max(1.0 - share, 1e-300)
+    return log_tail(-(spare + 0.5 * rank - 1.0) * math.log(left), rank)
 
 
 def log_tail(gain: float, rank: int) -> float:
     """Log of the probability of a chi-squared above the gain, also where it underflows."""
-    if not rank:
+    if not rank or gain <= 0.0:
         return 0.0
     p = float(tail(np.array([gain]), np.array([rank]))[0])
     # Below, doubles lose digits until they end at 0, whose logarithm says nothing.

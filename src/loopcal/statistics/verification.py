@@ -225,9 +225,10 @@ def _searched(day: Day, linear: Linearised) -> tuple[WhatChanged | None, Run]:
 
     What happens during a run looks like changes before it, and these like a step at its begin: the
     run is searched beside the changes, for steps and then for drifts, and then the changes beside
-    what it shows. Poses that do not fit the others look like both, so all of it is searched again
-    without them. Where the joints tell the order of the poses, a drift of the instrument may
-    explain the changes, and anywhere errors of joints that poses share.
+    what it shows. Where changes do not explain the poses, what moved alone may. Poses that do not
+    fit the others look like both, so all of it is searched again without them. Where the joints
+    tell the order of the poses, a drift of the instrument may explain the changes, and anywhere
+    errors of joints that poses share.
     """
     whole, every, outliers = day, day.problem, NO_POSES
     explained = what_changed(day, linear)
@@ -236,13 +237,15 @@ def _searched(day: Day, linear: Linearised) -> tuple[WhatChanged | None, Run]:
     what = explained.what
     if [one.kind for one in what.found] == ["delay"] and (what.left or 0.0) < LEVEL:
         return what, Run()  # what it leaves looks like moves and outliers, and is none
-    run = searched(explained)
+    if what.found and (what.left or 0.0) < LEVEL and (alone := _moved_alone(day)):
+        return alone
+    run = searched(explained.linear, explained.columns)
     while run.outliers and (more := with_further(every, outliers, run.outliers)) is not None:
         rest = whole.without(more)
         if (beside := what_changed(rest, rest.linearised())) is None:
             break
         day, outliers, explained = rest, more, beside
-        run = searched(explained)
+        run = searched(explained.linear, explained.columns)
     if run.shifts.found:
         day = replace(day, moved=run.shifts.found)
         explained = what_changed(day, day.linearised()) or explained
@@ -261,6 +264,20 @@ def _searched(day: Day, linear: Linearised) -> tuple[WhatChanged | None, Run]:
         if beside is not None and _fewer(beside.what, explained.what):
             explained = beside
     return explained.what, run.among(every, outliers)
+
+
+def _moved_alone(day: Day) -> tuple[WhatChanged, Run] | None:
+    """What moved during the run, where nothing else is needed to explain the poses."""
+    linear = day.linearised()
+    run = searched(linear, np.zeros((len(linear.e), 0)))
+    clear = run.shifts.told_apart
+    if run.outliers or not clear or len(clear) < len(run.shifts.found):
+        return None
+    day = replace(day, moved=run.shifts.found)
+    explained = what_changed(day, day.linearised())
+    if explained is None or explained.what.verdict != "unchanged":
+        return None
+    return explained.what, run
 
 
 def _distances(apart: Sequence[Apart]) -> Distances | None:
