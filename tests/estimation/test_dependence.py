@@ -19,6 +19,7 @@ from loopcal.estimation.fit_document import fit_document
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.sensitivity import output_sensitivity
+from loopcal.execution.forked import Forked
 
 Array = NDArray[np.float64]
 SDS = {"phi2": 1e-4, "phi3": 1e-4, "xP": 1e-4, "yP": 1e-4}
@@ -205,7 +206,7 @@ def test_the_banded_likelihood_is_that_of_the_whole_matrix() -> None:
     columns = np.concatenate([seen.A, seen.y[:, :, None]], axis=2)
     values = []
     for rho, ratio in ((0.5, 2.0), (0.9, 0.3), (0.0, 1e-9)):
-        found, s2 = _criterion(whole, seen.M, columns, rho, ratio)
+        found, s2 = _criterion((whole, seen.M, columns), (rho, ratio))
         R = rho ** np.abs(np.subtract.outer(np.arange(N), np.arange(N)))
         V = np.eye(N * q)
         for i in range(N):
@@ -240,7 +241,7 @@ def test_points_of_the_grid_that_are_not_sought_weigh_nothing(
     E = E + np.einsum("nij,nj->ni", X, u).ravel()
     whole = replace(whole, DE=D.T @ E, EE=float(E @ E))
     seen = Seen(np.einsum("nij,ni->nj", X, E.reshape(150, 2)), seen.A, seen.M)
-    counts: list[float] = []
+    counts: list[Any] = []
     criterion = serial._criterion
 
     def counted(*given: Any) -> tuple[float, float]:
@@ -257,6 +258,18 @@ def test_points_of_the_grid_that_are_not_sought_weigh_nothing(
     assert drift.covariance(whole, seen) == pytest.approx(
         everywhere.covariance(whole, seen), rel=1e-3
     )
+
+
+def test_a_drift_is_the_same_whoever_evaluates_its_likelihood(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    whole, seen, *_ = whole_system(np.random.default_rng(9))
+    alone = learnt_drift(whole, seen)
+    monkeypatch.setattr(serial, "_LONG", 0)
+    monkeypatch.setattr(serial, "process_cores", lambda: Forked(2))
+    shared = learnt_drift(whole, seen)
+    assert (shared.white, shared.share, shared.length) == (alone.white, alone.share, alone.length)
+    assert np.array_equal(shared.sizes, alone.sizes)
 
 
 def test_what_was_computed_of_a_fit_stays_with_further_parts_beside_it() -> None:

@@ -106,12 +106,10 @@ def findings(result: FitResult, region: Mapping[str, Span] | None = None) -> Fin
     solution = result.solution
     with one_blas_thread():
         prediction = predictor(result)
-        # A file that is at fault as a whole says nothing of single poses.
-        if columns := find_columns(result):
+        searches: tuple[Callable[[FitResult], Any], ...] = (_shifts, find_columns, find_poses)
+        shifts, columns, outliers = gathered(process_cores(), _searched, result, searches)
+        if columns:  # a file that is at fault as a whole says nothing of single poses
             outliers, shifts = of_file(columns), NOT_SEARCHED
-        else:
-            searches: tuple[Callable[[FitResult], Any], ...] = (find_poses, _shifts)
-            outliers, shifts = gathered(process_cores(), _searched, result, searches)
         parts = result.parts
         earlier = parts.change_points or ChangePoints((), shifts.level, 0)
         modelled = tuple(as_fitted(result, p, earlier.found) for p in earlier.found)

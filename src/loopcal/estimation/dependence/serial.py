@@ -20,10 +20,15 @@ import numpy as np
 
 from loopcal.arrays import Array
 from loopcal.estimation.dependence.seen import Seen
+from loopcal.execution.executor import gathered
+from loopcal.execution.forked import process_cores
 
 # From a drift of 3 % of the white variance to one of 1000 times it. A step of half a decade is fine
 # beside the likelihood of a variance: chosen, not derived.
 _RATIOS = 10.0 ** np.arange(-1.5, 3.1, 0.5)
+# Chosen, not derived: some 10 ms, which is what a copy of a process costs.
+_LONG = 10_000_000
+"""Products of one point of the grid from which on points are evaluated side by side."""
 _NOTHING = 1e-6
 """A drift of so small a share of the variance adds nothing."""
 _FAR = 20.0
@@ -81,13 +86,16 @@ def learnt_drift(whole: Whole, seen: Seen) -> Drift:
     # the run.
     lengths = np.geomspace(0.7, max(2.0 * N, 4.0), 10)
     columns = np.concatenate([seen.A, seen.y[:, :, None]], axis=2)
+    cores = process_cores() if columns.size * columns.shape[2] >= _LONG else None
     shape = len(lengths), len(_RATIOS)
     criteria, s2, waiting = np.full(shape, math.inf), np.ones(shape), np.zeros(shape, dtype=bool)
     waiting[1::3, 1::3] = True
     while waiting.any():
-        for i, j in np.argwhere(waiting):
-            rho, ratio = math.exp(-1.0 / float(lengths[i])), float(_RATIOS[j])
-            criteria[i, j], s2[i, j] = _criterion(whole, seen.M, columns, rho, ratio)
+        points = [
+            (math.exp(-1.0 / float(lengths[i])), float(_RATIOS[j])) for i, j in np.argwhere(waiting)
+        ]
+        made = gathered(cores, _criterion, (whole, seen.M, columns), points)
+        criteria[waiting], s2[waiting] = np.array(made).T
         likely = np.pad(criteria <= criteria.min() + _FAR, 1)
         beside = np.lib.stride_tricks.sliding_window_view(likely, (3, 3)).any(axis=(2, 3))
         waiting = beside & np.isinf(criteria)
@@ -116,12 +124,13 @@ def _precision(rho: float, N: int) -> tuple[Array, Array]:
 
 
 def _criterion(
-    whole: Whole, M: Array, columns: Array, rho: float, ratio: float
+    shared: tuple[Whole, Array, Array], point: tuple[float, float]
 ) -> tuple[float, float]:
-    """-2 log of the restricted likelihood at the best s^2, and that s^2."""
+    """-2 log of the restricted likelihood at the best s^2, and that s^2, for a rho and a ratio."""
     from scipy.linalg import cholesky_banded
     from scipy.linalg.lapack import dtbtrs
 
+    (whole, M, columns), (rho, ratio) = shared, point
     N, q, _ = columns.shape
     diagonal, beside = _precision(rho, N)
     band = np.zeros((q + 1, N * q))

@@ -96,12 +96,14 @@ def refined(
     few = {name: q[rows] for name, q in way.joints.items()}
 
     def bodies(at: Array, read: Mapping[str, Array]) -> Bodies:
-        offsets, multiples = at[: len(in_chain)], at[len(in_chain) :]
-        moved = {p.name: p.nominal + d for p, d in zip(in_chain, offsets, strict=True)}
-        q = dict(read)
-        for (name, other), k in zip(coupled, multiples, strict=True):
-            q[name] = q[name] + k * read[other]
-        return bodies_of(ChainFrame(chain, q, nominal | moved), len(next(iter(q.values()))))
+        """In all poses at one (P,) or several (k, P) sets of constants, one set after the other."""
+        sets, count = np.atleast_2d(at), len(next(iter(read.values())))
+        each = np.repeat(sets, count, axis=0).T
+        moved = {p.name: p.nominal + d for p, d in zip(in_chain, each, strict=False)}
+        q = {name: np.tile(values, len(sets)) for name, values in read.items()}
+        for (name, other), k in zip(coupled, each[len(in_chain) :], strict=True):
+            q[name] = q[name] + k * np.tile(read[other], len(sets))
+        return bodies_of(ChainFrame(chain, q, nominal | moved), len(sets) * count)
 
     at = np.zeros(len(in_chain) + len(coupled))
     weight = np.concatenate([_READ / sds, np.zeros(len(coupled))])
@@ -110,12 +112,11 @@ def refined(
         for _ in range(_ROUNDS):
             begun, now = at, bodies(at, few)
             target = see_points(now, measured[None], 1).targets[0]
-            missed, placement = _aligned(now, measured, target)
-            columns = [placement]
-            for k in range(len(at)):
-                ahead = bodies(at + _STEP * np.eye(len(at))[k], few)
-                columns.append(_derivative(ahead, measured, target, missed))
-            J = np.hstack(columns)
+            missed, placement, S = _aligned(now, measured, target)
+            # Columns of the placement stand beside them: it need not follow every constant.
+            ahead = bodies(at + _STEP * np.eye(len(at)), few).at(target).reshape(len(at), -1, 3)
+            moved_by = ((ahead - now.at(target)) @ S.T).reshape(len(at), -1).T / _STEP
+            J = np.hstack([placement, moved_by])
             prior = np.hstack([np.zeros((len(at), placement.shape[1])), np.diag(weight)])
             rhs = np.concatenate([-missed, -weight * at])
             A = np.vstack([J, prior])
@@ -150,8 +151,9 @@ def _derivative(ahead: Bodies, measured: Array, target: Array, missed: Array) ->
     return shifted
 
 
-def _aligned(bodies: Bodies, measured: Array, target: Array) -> tuple[Array, Array]:
-    """Residuals (3N,) of points placed by alignment, and the columns of placement and target."""
+def _aligned(bodies: Bodies, measured: Array, target: Array) -> tuple[Array, Array, Array]:
+    """Residuals (3N,) of points placed by alignment, the columns of placement and target, and the
+    rotation of the placement."""
     body = bodies.at(target)
     motion = align(body.T, measured.T)
     placed = body @ motion.rotation.T
@@ -162,7 +164,7 @@ def _aligned(bodies: Bodies, measured: Array, target: Array) -> tuple[Array, Arr
         J[:, :, k] = np.cross(axis, placed)
     J[:, :, 3:6] = np.eye(3)
     J[:, :, 6:] = motion.rotation @ bodies.rotations
-    return left.reshape(-1), J.reshape(-1, 9)
+    return left.reshape(-1), J.reshape(-1, 9), motion.rotation
 
 
 def computed(ways: Sequence[Understood], meaning: Meaning) -> tuple[float, bool] | None:
