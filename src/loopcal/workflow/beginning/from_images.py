@@ -10,9 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError, listed
 from loopcal.estimation.cameras.corners import Corners
+from loopcal.estimation.cameras.parts import in_parts
 from loopcal.estimation.cameras.start import (
+    CameraStart,
     started,
     way_of_turning,
     with_stated_lenses,
@@ -175,10 +178,10 @@ def _made(project: ImagesProject, remarks: tuple[str, ...]) -> Begun:
 
 
 def understood(
-    files: Files, hand: Hand, held: bool | None = None
+    files: Files, hand: Hand, held: Mapping[str, bool] | None = None
 ) -> tuple[ImagesProject, tuple[str, ...]]:
-    """A project of the files, and what was changed of the stated lenses; held: the board is on the
-    flange, None where the images are to show it."""
+    """A project of the files, and what was changed of the stated lenses; held: by camera, whether
+    the board that it sees is on the flange, None where the images are to show it."""
     boards = [named(files.boards, name) for name in files.corners.boards]
     table, renamed = matched(files.corners, boards, hand.poses, counted=hand.counted)
     corners = _corners(table, boards, hand.poses)
@@ -186,14 +189,23 @@ def understood(
     lenses, turned = _upright(stated, table)
     if hand.ways:
         hand = hand.turned(way_of_turning(hand.ways, corners, lenses, sizes))
-    begun = started(corners, hand.T_base_flange, lenses, sizes, held)
+
+    def begin(lenses: Mapping[str, Intrinsics]) -> CameraStart:
+        def run(corners: Corners, T_base_flange: Array | None) -> CameraStart:
+            cameras = corners.cameras
+            mount = None if held is None else held[cameras[0]]
+            some = {camera: lenses[camera] for camera in cameras if camera in lenses}
+            begun = started(corners, T_base_flange, some, sizes, mount)
+            # What was stated is nominal: what the images add to it is for the calibration to say.
+            return with_stated_lenses(begun) if len(some) == len(cameras) else begun
+
+        return in_parts(corners, hand.T_base_flange, run)
+
+    begun = begin(lenses)
     if turned and any(fact.code == "u-reversed" for fact in begun.facts):
         # An image on its side that is a mirror besides is one whose u and v are exchanged.
         lenses, turned = stated, ()
-        begun = started(corners, hand.T_base_flange, lenses, sizes, held)
-    if set(lenses) >= set(table.cameras):
-        # What was stated is nominal: what the images add to it is for the calibration to say.
-        begun = with_stated_lenses(begun)
+        begun = begin(lenses)
     if hand.T_base_flange is None:
         hand = unread(begun, hand)
     elif begun.T_base_flange is not None:

@@ -45,7 +45,8 @@ def later_images(entries: Sequence[Any], mechanism: Mechanism) -> Dataset:
         refuse_unknown_eye(eye, lenses)
     files = replace(files, lenses={camera: lenses[eye] for camera, eye in eyes.items()})
     hand = _hand(files.poses, mechanism)
-    project, _ = understood(files, hand, not cameras[0].on_body)
+    on_body = {one.name: one.on_body for one in cameras}
+    project, _ = understood(files, hand, {camera: not on_body[eye] for camera, eye in eyes.items()})
     for words in doubts(project):
         warnings.warn(words, stacklevel=2)
     data = project.dataset
