@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,8 @@ import numpy as np
 
 from loopcal.arrays import Array
 from loopcal.errors import InputError, listed
+from loopcal.estimation.cameras.facts import Fact
+from loopcal.estimation.cameras.hand_changes import changed
 from loopcal.estimation.cameras.start import (
     CameraStart,
 )
@@ -52,7 +54,25 @@ class Hand:
         """With its turns understood in this way."""
         T = self.ways[way]
         remarks = (*self.remarks, f"turns of the flange: {way}")
-        return replace(self, T_base_flange=T, readings=flange_columns(T), remarks=remarks)
+        return replace(
+            self, T_base_flange=T, readings=flange_columns(T), remarks=remarks, ways={way: T}
+        )
+
+    def read_as(self, words: Sequence[str]) -> Hand:
+        """With poses read as those of the first day were (`hand_changes`); joints stay."""
+        if not words or self.T_base_flange is None or "x" not in self.readings:
+            return self
+        ways = {} if self.ways.keys() & {*words} else self.ways
+        T = changed(self.T_base_flange, self.ways, words)
+        others = {way: changed(other, {}, words) for way, other in ways.items()}
+        return replace(self, T_base_flange=T, readings=flange_columns(T), ways=others)
+
+    def words(self, facts: Iterable[Fact]) -> list[str]:
+        """As `read_as` takes them: how the turns were understood, and what images changed."""
+        if "x" not in self.readings:
+            return []
+        stated = [*self.ways] if len(self.ways) == 1 else []
+        return [*stated, *(fact.poses for fact in facts if fact.poses)]
 
     def corrected(self, T: Array) -> Hand:
         """With the poses that the images fit: joints are those of the row that stands there."""

@@ -116,6 +116,7 @@ class ImagesProject:
     def tables(self) -> dict[str, Any]:
         """Of the project file."""
         hand = self.hand
+        read_as = hand.words(self.begun.facts)
         spread = {k: k for k in ("pose", "camera", "board", "point", "u", "v")}
         return {
             "schema": SCHEMA,
@@ -128,6 +129,7 @@ class ImagesProject:
             "data": {
                 "file": READINGS,
                 "pose": "pose",
+                **({"flange": read_as} if read_as else {}),
                 "join": [{"file": CORNERS, "pose": "pose", "spread": spread}],
             },
             "noise": {**hand.noise, **self._noise()},
