@@ -16,7 +16,7 @@ F = 2500.0
 
 
 def both(seed: int) -> tuple[Corners, Array, Array, Array]:
-    """Corners of both cameras, the hand (n, 4, 4), and where the second camera and its board are."""
+    """Corners of both cameras, the hand (n, 4, 4), the second camera and its board."""
     eye = shots(seed, held=False, images=14)
     board = replace(eye.corners.boards[0], name="tool")
     Y = motion(np.array([0.3, -0.2, 0.1]), np.array([0.05, -0.03, 0.08]))

@@ -13,7 +13,6 @@ from itertools import combinations
 
 import numpy as np
 
-from loopcal.arrays import Array
 from loopcal.estimation.cameras.board_pose import BoardPoses
 from loopcal.estimation.cameras.corners import Corners
 from loopcal.estimation.cameras.facts import Fact
@@ -251,6 +250,7 @@ def _suspicions(reading: Reading, held: bool | None) -> Iterator[Suspicion]:
     """All that shows in the images together."""
     if reading.T_base_flange is not None:
         yield from _hand_suspicions(held)
+    yield from _exchanged_cameras(reading.corners.cameras)
     if reading.stated:
         yield from _lens_suspicions(reading.corners.cameras)
     for b, board in enumerate(reading.corners.boards):
@@ -428,28 +428,36 @@ def _resized_boards(reading: Reading, factor: float) -> Reading:
 
 def _unmirrored(reading: Reading, facts: list[Fact]) -> tuple[Reading, list[Fact]]:
     """u and v exchanged, or u reversed, whichever the lens and the image's size allow."""
-    choices = [("uv-exchanged", "Columns u and v are exchanged.", _exchanged(reading))]
+    choices = [("uv-exchanged", "Columns u and v are exchanged. Correct them.", _exchanged(reading))]
     if all(lens.image is not None for lens in reading.lenses):
-        sentence = "Images are mirrored: u runs from right to left."
+        sentence = "Images are mirrored: u runs from right to left. Correct the column."
         choices.append(("u-reversed", sentence, _reversed(reading)))
+    choices += [
+        (one.code, one.sentence, other)
+        for one in _exchanged_cameras(reading.corners.cameras)
+        if (other := one.change(reading)) is not None
+    ]
     measured = [(misfit(other), i) for i, (_, _, other) in enumerate(choices)]
     px, i = min(measured)
-    if i == 1 and px > CLEAR * measured[0][0] and _inside(choices[0][2]):
+    if choices[i][0] == "u-reversed" and px > CLEAR * measured[0][0] and _inside(choices[0][2]):
         i = 0
     code, sentence, other = choices[i]
-    fact = Fact(code, f"{sentence} Correct the columns.", {"px_after": px}, applied=True)
+    fact = Fact(code, sentence, {"px_after": px}, applied=True)
     return other, [*facts, fact]
 
 
-def _exchanged(reading: Reading) -> Reading:
-    lenses = reading.lenses
-    if not reading.stated:
+def _exchanged(reading: Reading, camera: int | None = None) -> Reading:
+    """u and v exchanged of one camera, or of all."""
+    corners, mine = reading.corners, (camera is None) | (reading.corners.camera == camera)
+    lenses = tuple(
         # A principal point guessed from the corners is exchanged with them.
-        lenses = tuple(
-            one if one.image is not None else replace(one, cx=one.cy, cy=one.cx) for one in lenses
-        )
-    uv = reading.corners.uv[:, ::-1].copy()
-    return replace(reading, corners=reading.corners.at(uv), lenses=lenses)
+        replace(one, cx=one.cy, cy=one.cx)
+        if not reading.stated and one.image is None and camera in (None, c)
+        else one
+        for c, one in enumerate(reading.lenses)
+    )
+    uv = np.where(np.reshape(mine, (-1, 1)), corners.uv[:, ::-1], corners.uv)
+    return replace(reading, corners=corners.at(uv), lenses=lenses)
 
 
 def _reversed(reading: Reading) -> Reading:
@@ -518,6 +526,16 @@ def _shifted(reading: Reading, shift: int) -> Reading | None:
     inside = (row >= 0) & (row < n)
     corners = reading.corners.where(inside[reading.corners.image])
     return replace(reading, corners=corners, T_base_flange=T[np.clip(row, 0, n - 1)])
+
+
+def _exchanged_cameras(cameras: tuple[str, ...]) -> Iterator[Suspicion]:
+    """Of several cameras the columns of one."""
+    for c, camera in enumerate(cameras) if len(cameras) > 1 else ():
+        yield Suspicion(
+            "uv-exchanged",
+            f"Columns u and v of the camera {camera!r} are exchanged. Correct them.",
+            lambda one, c=c: _exchanged(one, c),  # type: ignore[misc]
+        )
 
 
 def _lens_suspicions(cameras: tuple[str, ...]) -> Iterator[Suspicion]:

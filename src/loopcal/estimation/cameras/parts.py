@@ -88,7 +88,8 @@ def _joined(
     def indices(of: Callable[[Corners], Corners | Views]) -> list[NDArray[np.intp]]:
         every = [
             (some.image, cameras[some.camera], boards[some.board])
-            for some, (cameras, boards) in zip([of(one.corners) for one in made], which, strict=True)
+            for one, (cameras, boards) in zip(made, which, strict=True)
+            for some in [of(one.corners)]
         ]
         return [np.concatenate(column) for column in zip(*every, strict=True)]
 

@@ -51,17 +51,28 @@ class FromImages:
         return tuple(p for f in facts if f.code == UNEXPLAINED for p in f.images)
 
     @property
-    def share(self) -> float:
-        """What poses of the robot leave of how far points move between images; 0 without any."""
+    def shares(self) -> dict[str, float]:
+        """Of each camera, what poses of the robot leave of how far points move between images;
+        empty without a robot."""
         begun = self.project.begun
         if begun.T_base_flange is None:
-            return 0.0
+            return {}
         c = begun.corners
         of_point = np.unique([c.camera, c.board, c.point], axis=1, return_inverse=True)[1].ravel()
         count = np.bincount(of_point)
         away = [x - (np.bincount(of_point, x) / count)[of_point] for x in c.uv.T]
-        left, moved = (float(np.median(np.hypot(*d))) for d in (begun.residuals.T, away))
-        return left / max(moved, 1e-9)
+        left, moved = np.hypot(*begun.residuals.T), np.hypot(*away)
+        several = count[of_point] > 1  # a point that is seen once does not move
+        return {
+            name: float(np.median(left[mine])) / max(float(np.median(moved[mine])), 1e-9)
+            for k, name in enumerate(c.cameras)
+            if (mine := several & (c.camera == k)).any()
+        }
+
+    @property
+    def share(self) -> float:
+        """That of the camera of which most is left; 0 without a robot."""
+        return max(self.shares.values(), default=0.0)
 
     def clear_of(self, out: LeftOut) -> Begun:
         """What was begun without what is left out, and without doubts of images that fit."""
@@ -157,8 +168,10 @@ def on_another_link(
         remarks = (*best.begun.remarks, words)
         return replace(best, begun=replace(best.begun, remarks=remarks))
     if made.share > NOTHING:
+        worst = max(made.shares, key=lambda camera: made.shares[camera])
+        of = f" of the camera {worst!r}" if len(made.shares) > 1 else ""
         raise InputError(
-            "the poses of the robot do not explain the images: corners are "
+            f"the poses of the robot do not explain the images{of}: corners are "
             f"{significant(made.project.begun.rms, 2)} px off",
             code="mismatched-poses",
             remedy="check the joints, their units and signs, the order of the rows, and which link "
