@@ -288,7 +288,8 @@ def _mountings(problem: Problem) -> Iterator[Possible]:
     on_body = {n for names in mounted for n in names}
     # Beside what is on the body, such as the zero of a wire.
     rest = [tuple(n for n in f.mounted if n not in on_body) for f in problem.mechanism.families]
-    aside = [tuple(n for n in names if n in problem.names) for names in dict.fromkeys(rest)]
+    others = {n for n in problem.names if parameters[n].role != "lens"}  # `_cameras` has lenses
+    aside = [tuple(n for n in names if n in others) for names in dict.fromkeys(rest)]
     for names in [*mounted, *filter(None, aside)]:
         owners = {parameters[n].owner for n in names} if len(names) > 1 else set()
         label = next(iter(owners)) if len(owners) == 1 else ""
