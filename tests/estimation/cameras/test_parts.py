@@ -10,6 +10,7 @@ import pytest
 from loopcal.estimation.cameras.corners import Corners
 from loopcal.estimation.cameras.parts import in_parts
 from loopcal.estimation.cameras.start import CameraStart, start
+from loopcal.mechanisms.placement import inverse
 from tests.estimation.cameras.truth import Array, motion, pixel, shots
 
 F = 2500.0
@@ -52,10 +53,11 @@ def test_each_part_has_its_own_mount_and_one_hand(inverted: bool) -> None:
     def run(some: Corners, hand: Array | None) -> CameraStart:
         return start(some, hand)
 
-    begun = in_parts(corners, np.linalg.inv(T) if inverted else T, run)
+    begun = in_parts(corners, inverse(T) if inverted else T, run)
     assert begun.on_flange == {"cam"}
     assert begun.held is False
     assert begun.rms == pytest.approx(0.28, abs=0.03)
+    assert begun.T_base_flange is not None
     np.testing.assert_allclose(begun.T_base_flange, T, atol=1e-9)
     np.testing.assert_allclose(begun.X[1], X, atol=0.02)
     np.testing.assert_allclose(begun.Y[1], Y, atol=0.02)

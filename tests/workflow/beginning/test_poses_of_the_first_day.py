@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import loopcal as lc
 from loopcal.files.result import result_file
+from loopcal.mechanisms.placement import inverse
 from loopcal.workflow.checking import run_prediction
 from tests.estimation.cameras.truth import Array, Shots, shots
 
@@ -22,7 +24,7 @@ def quaternions(T: Array) -> tuple[str, Array]:
 
 
 def inverted(T: Array) -> tuple[str, Array]:
-    return quaternions(np.linalg.inv(T))
+    return quaternions(inverse(T))
 
 
 def exchanged(T: Array) -> tuple[str, Array]:
@@ -74,6 +76,21 @@ def test_pixels_of_poses_without_images_are_where_they_were_seen(
     result = lc.calibrate(tmp_path / "cal" / "project.toml", method="implicit-loop")
     result_file.write_result(result, result.document, tmp_path / "cal")
     later = table(tmp_path / "later.csv", stated(true.T))
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        some = run_prediction(tmp_path / "cal", later, out=None)
+    assert any("read as before" in str(one.message) for one in said) == (stated is not quaternions)
+    seen = true.corners.uv.reshape(len(true.T), -1)
+    np.testing.assert_allclose(np.stack([*some.outputs.values()], axis=1), seen, atol=1.0)
+
+
+def test_a_unit_that_is_stated_later_counts(tmp_path: Path) -> None:
+    true = shots(4, held=False, images=14, noise=0.1)
+    lc.init(folder(tmp_path / "images", true, in_mm(true.T)), out=tmp_path / "cal")
+    result = lc.calibrate(tmp_path / "cal" / "project.toml", method="implicit-loop")
+    result_file.write_result(result, result.document, tmp_path / "cal")
+    header, values = in_mm(true.T)
+    later = table(tmp_path / "later.csv", (header.replace("x,y,z", "x_mm,y_mm,z_mm"), values))
     some = run_prediction(tmp_path / "cal", later, out=None)
     seen = true.corners.uv.reshape(len(true.T), -1)
     np.testing.assert_allclose(np.stack([*some.outputs.values()], axis=1), seen, atol=1.0)

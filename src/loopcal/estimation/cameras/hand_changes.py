@@ -60,21 +60,21 @@ def _longer(factor: float) -> Callable[[Array], Array]:
     return change
 
 
+POSITIONS: Mapping[str, Callable[[Array], Array]] = {
+    **{positions_in(unit, converted=False): _longer(1.0 / k) for k, unit in UNITS.items()},
+    **{positions_in(unit, converted=True): _longer(k) for k, unit in UNITS.items()},
+}
 CHANGES: Mapping[str, Callable[[Array], Array]] = {
     INVERTED: inverse,
     TRANSPOSED: _transposed,
     **{quaternions_in(name): _requaternioned(order) for name, order in QUATERNIONS.items()},
-    **{positions_in(unit, converted=False): _longer(1.0 / k) for k, unit in UNITS.items()},
-    **{positions_in(unit, converted=True): _longer(k) for k, unit in UNITS.items()},
+    **POSITIONS,
 }
 
 
 def changed(T: Array, ways: Mapping[str, Array], words: Iterable[str]) -> Array:
     """Poses (n, 4, 4) read as these words say, in their order: names of changes, and of ways to
-    read the turns of this file. Words of other files say nothing."""
+    read the turns of this file."""
     for word in words:
-        if word in CHANGES:
-            T = CHANGES[word](T)
-        else:
-            T = ways.get(word, T)
+        T = CHANGES[word](T) if word in CHANGES else ways.get(word, T)
     return T

@@ -428,7 +428,9 @@ def _resized_boards(reading: Reading, factor: float) -> Reading:
 
 def _unmirrored(reading: Reading, facts: list[Fact]) -> tuple[Reading, list[Fact]]:
     """u and v exchanged, or u reversed, whichever the lens and the image's size allow."""
-    choices = [("uv-exchanged", "Columns u and v are exchanged. Correct them.", _exchanged(reading))]
+    choices = [
+        ("uv-exchanged", "Columns u and v are exchanged. Correct them.", _exchanged(reading))
+    ]
     if all(lens.image is not None for lens in reading.lenses):
         sentence = "Images are mirrored: u runs from right to left. Correct the column."
         choices.append(("u-reversed", sentence, _reversed(reading)))

@@ -66,9 +66,12 @@ def later_poses(
     flange: as in `later_images`. None where no table has them. Raises InputError for turns that
     only images could decide.
     """
-    hand = _hand(files_of(entries), mechanism).read_as(flange)
+    stated = _hand(files_of(entries), mechanism)
+    hand = stated.read_as(flange)
     if not hand.poses:
         return None
+    for words in hand.remarks[len(stated.remarks) :]:
+        warnings.warn(words, stacklevel=2)
     if len(hand.ways) > 1:
         raise InputError(
             "the turns of the flange can be read in several ways, and there is no image that "
