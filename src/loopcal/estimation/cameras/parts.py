@@ -29,19 +29,19 @@ def in_parts(corners: Corners, T_base_flange: Array | None, run: Run) -> CameraS
     parts = _parts(corners)
     if T_base_flange is None or len(parts) < 2:
         return run(corners, T_base_flange)
-    T, facts, made = T_base_flange, dict[str, Fact](), list[CameraStart]()
-    for k in [*range(len(parts)), *range(len(parts) - 1)]:
-        if len(made) == len(parts):
-            break
-        begun = run(_alone(corners, parts[k]), T)
+    T, facts, made, last = T_base_flange, dict[str, Fact](), dict[int, CameraStart](), 0
+    for i in range(2 * len(parts) - 1):
+        if i == last + len(parts):
+            break  # every part has begun by these poses
+        begun = run(_alone(corners, parts[i % len(parts)]), T)
         for fact in begun.facts:
             words = f"{', '.join(begun.corners.cameras)}: {fact.sentence}"
             facts[words] = replace(fact, sentence=words)
         assert begun.T_base_flange is not None
-        same = np.array_equal(begun.T_base_flange, T, equal_nan=True)
-        T = begun.T_base_flange
-        made = [*(made if same else []), begun]
-    return _joined(corners, made, T, tuple(facts.values()))
+        if not np.array_equal(begun.T_base_flange, T, equal_nan=True):
+            T, last = begun.T_base_flange, i
+        made[i % len(parts)] = begun
+    return _joined(corners, list(made.values()), T, tuple(facts.values()))
 
 
 def _parts(corners: Corners) -> list[NDArray[np.bool_]]:
