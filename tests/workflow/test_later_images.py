@@ -67,6 +67,9 @@ def test_a_folder_of_another_day_is_read_as_that_of_the_first(first: Path, tmp_p
     done = verified(first, day(tmp_path, 7, 8))
     assert done.verdict["consistent"].passed
     assert changes(done) == []
+    assert done.changes is not None
+    candidates = [one.name for one in done.changes.candidates]
+    assert len({*candidates}) == len(candidates)  # a focal length is no mounting as well
     assert done.calibrated is not None
     assert done.calibrated.rms < 3.0 * SD
 

@@ -17,7 +17,7 @@ from loopcal.arrays import Array
 from loopcal.estimation.dependence.dependence import joint_rows
 from loopcal.estimation.problem.problem import Problem
 from loopcal.mechanisms.mechanism import PIXELS
-from loopcal.mechanisms.parameters import GEOMETRY
+from loopcal.mechanisms.parameters import GEOMETRY, OF_CAMERAS
 from loopcal.mechanisms.placement import ChainPlacement
 from loopcal.mechanisms.station import BASE, Station
 from loopcal.mechanisms.structure.structured import driven_joints
@@ -288,7 +288,9 @@ def _mountings(problem: Problem) -> Iterator[Possible]:
     on_body = {n for names in mounted for n in names}
     # Beside what is on the body, such as the zero of a wire.
     rest = [tuple(n for n in f.mounted if n not in on_body) for f in problem.mechanism.families]
-    aside = [tuple(n for n in names if n in problem.names) for names in dict.fromkeys(rest)]
+    # Lenses and prints are changes of `_cameras`.
+    others = {n for n in problem.names if parameters[n].role not in OF_CAMERAS}
+    aside = [tuple(n for n in names if n in others) for names in dict.fromkeys(rest)]
     for names in [*mounted, *filter(None, aside)]:
         owners = {parameters[n].owner for n in names} if len(names) > 1 else set()
         label = next(iter(owners)) if len(owners) == 1 else ""

@@ -93,15 +93,17 @@ def new_readings(
     entries = [data] if isinstance(data, str | Path) else list(data)
     cameras = any(family.form == PIXELS for family in mechanism.families)
     seen = cameras and are_images(entries)
-    observe = inputs.get("data", {}).get("observe")
+    observe, flange = (inputs.get("data", {}).get(key) or () for key in ("observe", "flange"))
     if seen and not observe:
         from loopcal.workflow.beginning.later_images import later_images
 
-        return later_images(entries, mechanism)
-    if cameras and not whole and not reads(entries[0], inputs, mechanism, whole=whole):
+        return later_images(entries, mechanism, flange)
+    # A table of the robot may have the very columns of the project's own, which was read before.
+    anew = flange and _are_files(entries) and Path(entries[0]).name != inputs["data"]["file"]
+    if cameras and not whole and (anew or not reads(entries[0], inputs, mechanism, whole=whole)):
         from loopcal.workflow.beginning.later_images import later_poses
 
-        if (poses := later_poses(entries, mechanism)) is not None:
+        if (poses := later_poses(entries, mechanism, flange)) is not None:
             return poses
     if mechanism.families and {f.form for f in mechanism.families} == {"pose"}:
         from loopcal.workflow.beginning.from_samples import later_samples, samples_of

@@ -18,7 +18,7 @@ from loopcal.estimation.cameras.scene import Adjusted, Scene
 from loopcal.estimation.cameras.start import start
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
-from tests.estimation.cameras.truth import COLUMNS, ROWS, SIZE, grid_board, shots
+from tests.estimation.cameras.truth import COLUMNS, ROWS, SIZE, grid_board, motion, pixel, shots
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -131,6 +131,27 @@ def test_u_and_v_exchanged() -> None:
     begun = true.start(corners=true.corners.at(true.corners.uv[:, ::-1].copy()))
     assert [fact.code for fact in begun.facts if fact.applied] == ["uv-exchanged"]
     np.testing.assert_allclose(begun.X[0], true.X, atol=4e-3)
+
+
+@pytest.mark.parametrize("wrong", [0, 1])
+def test_u_and_v_of_one_camera_exchanged(wrong: int) -> None:
+    true = shots(38, images=14)
+    one, X = true.corners, motion(np.array([0.0, 0.02, 0.3]), np.array([0.02, 0.0, 0.0])) @ true.X
+    lens = true.intrinsics["cam"]
+    uv = []
+    for T in true.T:
+        P = X @ T @ true.Y
+        seen = one.boards[0].xyz @ P[:3, :3].T + P[:3, 3]
+        uv.append(pixel(seen, true.f, np.array([lens.cx, lens.cy])))
+    both = np.array([one.uv, np.concatenate(uv)])
+    both[wrong] = both[wrong][:, ::-1].copy()
+    camera = np.repeat([0, 1], len(one))
+    index = [np.tile(one.image, 2), camera, np.tile(one.board, 2), np.tile(one.point, 2)]
+    corners = Corners.of(index, np.concatenate(both), ("cam", "two"), one.boards, one.poses)
+    begun = start(corners, true.T, {"cam": lens, "two": lens}, {}, True)
+    (fact,) = (fact for fact in begun.facts if fact.applied)
+    assert (fact.code, corners.cameras[wrong] in fact.sentence) == ("uv-exchanged", True)
+    np.testing.assert_allclose(begun.X, [true.X, X], atol=5e-3)
 
 
 def test_intrinsics_of_an_image_on_its_side() -> None:

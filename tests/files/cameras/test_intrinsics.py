@@ -100,6 +100,36 @@ def test_the_lens_of_rectified_images_is_read_beside_that_of_raw_ones(tmp_path: 
     assert (eye.fx, eye.distortion) == (EYE.fx, EYE.distortion)
 
 
+@pytest.mark.parametrize("data", ["[]", "[1300, 0, 801]", "[1300, 0, 801, 0, 1302, 590, 0, 0, 1]"])
+def test_a_projection_that_is_no_matrix_says_nothing(data: str, tmp_path: Path) -> None:
+    text = f"{CAMERA_INFO}projection_matrix: {{data: {data}}}\n"
+    assert read_intrinsics(written(tmp_path, text)) == {"eye": EYE}
+
+
+@pytest.mark.parametrize(
+    ("stated", "lens", "coefficients"),
+    [
+        ("-0.21", "brown5", (-0.21, 0.0, 0.0, 0.0, 0.0)),
+        ("-0.21, 0.06", "brown5", (-0.21, 0.06, 0.0, 0.0, 0.0)),
+        ("1, 2, 0, 0, 3, 4", "brown8", (1.0, 2.0, 0.0, 0.0, 3.0, 4.0, 0.0, 0.0)),
+        ("1, 2, 0, 0, 3, 4, 5", "brown8", (1.0, 2.0, 0.0, 0.0, 3.0, 4.0, 5.0, 0.0)),
+        (f"-0.21{', 0' * 19}", "brown12", (-0.21, *[0.0] * 11)),
+    ],
+)
+def test_coefficients_that_are_missing_at_the_end_are_zero(
+    stated: str, lens: str, coefficients: tuple[float, ...], tmp_path: Path
+) -> None:
+    text = CAMERA_INFO.replace("-0.21, 6.e-02, 1.2e-3, -0.0008, -.01", stated)
+    eye = read_intrinsics(written(tmp_path, text))["eye"]
+    assert (eye.lens, eye.distortion) == (lens, coefficients)
+
+
+def test_a_camera_that_was_never_calibrated_is_refused(tmp_path: Path) -> None:
+    zero = CAMERA_INFO.replace("1352.0, 0., 789.7, 0., 1356.5, 627.3, 0., 0., 1.", "0, " * 8 + "0")
+    with refused("invalid-value", "camera.yaml", "never calibrated"):
+        read_intrinsics(written(tmp_path, zero))
+
+
 def test_camera_info_of_ros(tmp_path: Path) -> None:
     assert read_intrinsics(written(tmp_path, CAMERA_INFO)) == {"eye": EYE}
 

@@ -11,7 +11,7 @@ class Fact:
     """One fact: its code, a sentence for the user, its numbers, and the images concerned.
 
     applied: whether the start goes on with the corrected data; otherwise it is a warning. No images
-    means all of them.
+    means all of them. poses: how poses of the flange were changed (`hand_changes`).
     """
 
     code: str
@@ -19,3 +19,4 @@ class Fact:
     values: Mapping[str, float | str] = field(default_factory=dict)
     images: tuple[str, ...] = ()
     applied: bool = False
+    poses: str = ""

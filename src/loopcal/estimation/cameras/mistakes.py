@@ -13,10 +13,18 @@ from itertools import combinations
 
 import numpy as np
 
-from loopcal.arrays import Array
 from loopcal.estimation.cameras.board_pose import BoardPoses
 from loopcal.estimation.cameras.corners import Corners
 from loopcal.estimation.cameras.facts import Fact
+from loopcal.estimation.cameras.hand_changes import (
+    CHANGES,
+    INVERTED,
+    QUATERNIONS,
+    TRANSPOSED,
+    UNITS,
+    positions_in,
+    quaternions_in,
+)
 from loopcal.estimation.cameras.homography import homographies, spread, transfer_errors
 from loopcal.estimation.cameras.lens_changes import cut, exchanged, rectified, resized, turned
 from loopcal.estimation.cameras.orders import (
@@ -47,12 +55,6 @@ WITHOUT_DOUBT = 0.2
 CLEAR_PLANE = 0.85
 """The same for homographies, which no error of the robot enters: 20 views of 12 corners have a log
 likelihood ratio of 240 ln(1 / 0.85) = 39."""
-UNITS = {
-    1000.0: "mm",
-    100.0: "cm",
-    1.0 / 0.0254: "inches",
-}
-"""How many of a unit one metre has."""
 NEAR_UNIT = 1.4
 """A ratio of lengths that near a unit's: a guessed focal length may be wrong by a third."""
 LARGEST_BOARD = 5.0
@@ -72,13 +74,15 @@ FARTHEST_HAND = 20.0
 class Suspicion:
     """Another reading of the files, or None where it makes no sense for them.
 
-    share: it leaves less than that of what the best one before it leaves.
+    share: it leaves less than that of what the best one before it leaves; poses: how it changes
+    those of the flange (`hand_changes`).
     """
 
     code: str
     sentence: str
     change: Callable[[Reading], Reading | None]
     share: float = 1.0
+    poses: str = ""
 
 
 def corrected(reading: Reading, held: bool | None) -> tuple[Reading, list[Fact]]:
@@ -211,7 +215,7 @@ def _better(
     if best is None or reason is None:
         return reading, []
     values: dict[str, float | str] = {"px_before": before, "px_after": after}
-    fact = Fact(reason.code, reason.sentence, values, applied=True)
+    fact = Fact(reason.code, reason.sentence, values, applied=True, poses=reason.poses)
     return replace(best, held=held), [fact]
 
 
@@ -246,6 +250,7 @@ def _suspicions(reading: Reading, held: bool | None) -> Iterator[Suspicion]:
     """All that shows in the images together."""
     if reading.T_base_flange is not None:
         yield from _hand_suspicions(held)
+    yield from _exchanged_cameras(reading.corners.cameras)
     if reading.stated:
         yield from _lens_suspicions(reading.corners.cameras)
     for b, board in enumerate(reading.corners.boards):
@@ -310,7 +315,7 @@ def _mount(reading: Reading, misfits: list[float]) -> tuple[Reading, Fact]:
     """The reading with what is likelier on the flange, where two are the same equations."""
     things = ("board", "camera") if reading.held else ("camera", "board")
     clear = len(misfits) < 2 or min(misfits) < CLEAR * max(misfits)
-    away = _away(reading) if clear else (0.0, 0.0)
+    away, poses = _away(reading) if clear else (0.0, 0.0), ""
     if away[0] > max(FAR, FARTHER * away[1]):
         assert reading.T_base_flange is not None
         far, near = (f"{significant(one, 2)} m" for one in away)
@@ -319,9 +324,8 @@ def _mount(reading: Reading, misfits: list[float]) -> tuple[Reading, Fact]:
             f"in the flange), which is taken to be so. As they stand, the {things[0]} would sit "
             f"{far} from the flange, and the {things[1]} {near} from the base."
         )
-        reading = replace(
-            reading, T_base_flange=inverse(reading.T_base_flange), held=not reading.held
-        )
+        T, poses = inverse(reading.T_base_flange), INVERTED
+        reading = replace(reading, T_base_flange=T, held=not reading.held)
     else:
         doubt = (
             f"If the {things[1]} is on the flange, the poses are inverted (base in the flange)."
@@ -333,7 +337,7 @@ def _mount(reading: Reading, misfits: list[float]) -> tuple[Reading, Fact]:
     values: dict[str, float | str] = {"held": "board" if reading.held else "camera"}
     if misfits:
         values |= {"px": min(misfits), "px_other": max(misfits)}
-    return reading, Fact("mount", words, values, applied=True)
+    return reading, Fact("mount", words, values, applied=True, poses=poses)
 
 
 def _away(reading: Reading) -> tuple[float, float]:
@@ -389,6 +393,7 @@ def _in_unit(reading: Reading, factor: float, unit: str) -> tuple[Reading, list[
             f"The positions of the flange {way}. State their unit.",
             values,
             applied=True,
+            poses=positions_in(unit, converted=not large),
         )
         return replace(reading, T_base_flange=T), [fact]
     way = f"are in metres, and were converted from {unit}" if large else f"are in {unit}"
@@ -423,28 +428,38 @@ def _resized_boards(reading: Reading, factor: float) -> Reading:
 
 def _unmirrored(reading: Reading, facts: list[Fact]) -> tuple[Reading, list[Fact]]:
     """u and v exchanged, or u reversed, whichever the lens and the image's size allow."""
-    choices = [("uv-exchanged", "Columns u and v are exchanged.", _exchanged(reading))]
+    choices = [
+        ("uv-exchanged", "Columns u and v are exchanged. Correct them.", _exchanged(reading))
+    ]
     if all(lens.image is not None for lens in reading.lenses):
-        sentence = "Images are mirrored: u runs from right to left."
+        sentence = "Images are mirrored: u runs from right to left. Correct the column."
         choices.append(("u-reversed", sentence, _reversed(reading)))
+    choices += [
+        (one.code, one.sentence, other)
+        for one in _exchanged_cameras(reading.corners.cameras)
+        if (other := one.change(reading)) is not None
+    ]
     measured = [(misfit(other), i) for i, (_, _, other) in enumerate(choices)]
     px, i = min(measured)
-    if i == 1 and px > CLEAR * measured[0][0] and _inside(choices[0][2]):
+    if choices[i][0] == "u-reversed" and px > CLEAR * measured[0][0] and _inside(choices[0][2]):
         i = 0
     code, sentence, other = choices[i]
-    fact = Fact(code, f"{sentence} Correct the columns.", {"px_after": px}, applied=True)
+    fact = Fact(code, sentence, {"px_after": px}, applied=True)
     return other, [*facts, fact]
 
 
-def _exchanged(reading: Reading) -> Reading:
-    lenses = reading.lenses
-    if not reading.stated:
+def _exchanged(reading: Reading, camera: int | None = None) -> Reading:
+    """u and v exchanged of one camera, or of all."""
+    corners, mine = reading.corners, (camera is None) | (reading.corners.camera == camera)
+    lenses = tuple(
         # A principal point guessed from the corners is exchanged with them.
-        lenses = tuple(
-            one if one.image is not None else replace(one, cx=one.cy, cy=one.cx) for one in lenses
-        )
-    uv = reading.corners.uv[:, ::-1].copy()
-    return replace(reading, corners=reading.corners.at(uv), lenses=lenses)
+        replace(one, cx=one.cy, cy=one.cx)
+        if not reading.stated and one.image is None and camera in (None, c)
+        else one
+        for c, one in enumerate(reading.lenses)
+    )
+    uv = np.where(np.reshape(mine, (-1, 1)), corners.uv[:, ::-1], corners.uv)
+    return replace(reading, corners=corners.at(uv), lenses=lenses)
 
 
 def _reversed(reading: Reading) -> Reading:
@@ -466,22 +481,22 @@ def _inside(reading: Reading) -> bool:
 def _hand_suspicions(held: bool | None) -> Iterator[Suspicion]:
     if held is not None:
         where = "board" if held else "camera"
-        yield Suspicion(
+        yield _read_as(
             "poses-inverted",
             "The poses fit as the base in the flange, the inverse of the flange in the base. "
             f"Invert them, or check whether the {where} really is on the flange.",
-            lambda one: _with_hand(one, inverse),
+            INVERTED,
         )
-    yield Suspicion(
+    yield _read_as(
         "rotations-transposed",
         "The rotations of the poses fit only when transposed. Check the order of their elements.",
-        lambda one: _with_hand(one, _transposed),
+        TRANSPOSED,
     )
-    for name, order in (("x, y, z, w", (3, 0, 1, 2)), ("w, x, y, z", (1, 2, 3, 0))):
-        yield Suspicion(
+    for name in QUATERNIONS:
+        yield _read_as(
             "quaternion-order",
             f"The quaternions fit in the order {name}, not in the order that was read.",
-            lambda one, order=order: _with_hand(one, lambda T: _requaternioned(T, order)),  # type: ignore[misc]
+            quaternions_in(name),
         )
     for shift in (1, -1, 2, -2):
         where = "later" if shift > 0 else "earlier"
@@ -494,25 +509,14 @@ def _hand_suspicions(held: bool | None) -> Iterator[Suspicion]:
         )
 
 
-def _with_hand(reading: Reading, change: Callable[[Array], Array]) -> Reading:
-    assert reading.T_base_flange is not None
-    return replace(reading, T_base_flange=change(reading.T_base_flange))
+def _read_as(code: str, sentence: str, word: str) -> Suspicion:
+    """Poses of the flange changed as this word says."""
 
+    def change(reading: Reading) -> Reading:
+        assert reading.T_base_flange is not None
+        return replace(reading, T_base_flange=CHANGES[word](reading.T_base_flange))
 
-def _transposed(T: Array) -> Array:
-    T = T.copy()
-    T[:, :3, :3] = np.swapaxes(T[:, :3, :3], 1, 2)
-    return T
-
-
-def _requaternioned(T: Array, order: tuple[int, ...]) -> Array:
-    """The rotations whose quaternions have the elements of those of T in another order."""
-    from scipy.spatial.transform import Rotation
-
-    T = T.copy()
-    q = Rotation.from_matrix(T[:, :3, :3]).as_quat()
-    T[:, :3, :3] = Rotation.from_quat(q[:, list(order)]).as_matrix()
-    return T
+    return Suspicion(code, sentence, change, poses=word)
 
 
 def _shifted(reading: Reading, shift: int) -> Reading | None:
@@ -524,6 +528,16 @@ def _shifted(reading: Reading, shift: int) -> Reading | None:
     inside = (row >= 0) & (row < n)
     corners = reading.corners.where(inside[reading.corners.image])
     return replace(reading, corners=corners, T_base_flange=T[np.clip(row, 0, n - 1)])
+
+
+def _exchanged_cameras(cameras: tuple[str, ...]) -> Iterator[Suspicion]:
+    """Of several cameras the columns of one."""
+    for c, camera in enumerate(cameras) if len(cameras) > 1 else ():
+        yield Suspicion(
+            "uv-exchanged",
+            f"Columns u and v of the camera {camera!r} are exchanged. Correct them.",
+            lambda one, c=c: _exchanged(one, c),  # type: ignore[misc]
+        )
 
 
 def _lens_suspicions(cameras: tuple[str, ...]) -> Iterator[Suspicion]:

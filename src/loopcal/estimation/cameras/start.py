@@ -50,15 +50,16 @@ class CameraStart:
     """Where everything stands, and what was found out about the files.
 
     corners, T_base_flange: as corrected; the arrays per corner and view follow these corners.
-    held: the board is on the flange; None without a robot. X, Y: (cameras, 4, 4) and (boards, 4, 4)
-    of C_i = X A_i Y (`hand_eye`). T_camera_board: (V, 4, 4) of each view
+    on_flange: cameras that the flange carries; boards of the others are on it, or nowhere without a
+    robot. X, Y: (cameras, 4, 4) and (boards, 4, 4) of C_i = X A_i Y (`hand_eye`), A_i inverse for
+    cameras on the flange. T_camera_board: (V, 4, 4) of each view
     in the order of `corners.views`; branches: (V, 2, 4, 4) both poses that the view alone allows,
     chosen: (V,) which of them is nearer. residuals: (N, 2) [px].
     """
 
     corners: Corners
     T_base_flange: Array | None
-    held: bool | None
+    on_flange: frozenset[str]
     intrinsics: Mapping[str, Intrinsics]
     intrinsics_stated: Mapping[str, Intrinsics]
     X: Array
@@ -68,6 +69,11 @@ class CameraStart:
     chosen: NDArray[np.intp]
     residuals: Array
     facts: tuple[Fact, ...]
+
+    @property
+    def held(self) -> bool | None:
+        """Whether boards are on the flange, and no camera; None without a robot."""
+        return None if self.T_base_flange is None else not self.on_flange
 
     @property
     def rms(self) -> float:
@@ -212,7 +218,7 @@ def way_of_turning(
 def with_stated_lenses(begun: CameraStart) -> CameraStart:
     """The same placed anew with the lenses as stated, which are held."""
     lenses = tuple(begun.intrinsics_stated[camera] for camera in begun.corners.cameras)
-    held = begun.held is not False
+    held = not begun.on_flange
     reading = Reading(begun.corners, begun.T_base_flange, lenses, held, True)
     poses = view_poses(reading)
     if reading.A is None:
@@ -290,7 +296,7 @@ def _start_of(reading: Reading, result: Adjusted, facts: Sequence[Fact]) -> Came
     return CameraStart(
         corners,
         reading.T_base_flange,
-        None if reading.T_base_flange is None else reading.held,
+        frozenset(() if reading.T_base_flange is None or reading.held else corners.cameras),
         dict(zip(corners.cameras, scene.intrinsics, strict=True)),
         dict(zip(corners.cameras, reading.lenses, strict=True)),
         scene.X,

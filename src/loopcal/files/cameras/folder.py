@@ -32,6 +32,8 @@ _MADE = ("result.json", "project.toml")
 """Beside them stands what loopcal wrote."""
 _RECORDS = (".json", ".yaml", ".yml")
 _IMAGES = frozenset(words("corners", "image"))
+_OF_A_LENS = ("wrong-shape", "invalid-value")
+"""Codes of errors in what a file states of a lens."""
 _UNREAD = {"cameras.txt": "COLMAP", "camera.xml": "ViSP"}
 """Files of lenses that are not read, and whose they are."""
 _SAME = 1e-3
@@ -310,14 +312,17 @@ def _document(
     remarks: list[str],
 ) -> bool:
     """Take what a YAML or JSON file says; whether it holds poses instead."""
-    taken = 0
+    taken, unusable = 0, list[str]()
     for read, into in ((read_intrinsics, lenses), (read_boards, boards)):
         try:
             into.update(read(path))  # type: ignore[arg-type]
             taken += 1
         except InputError as error:
+            words = f"{error.place or path.name}: {error.message}; it is not used"
             if error.code == "unsupported":
-                remarks.append(f"{error.place or path.name}: {error.message}; it is not used")
+                remarks.append(words)
+            elif read is read_intrinsics and error.code in _OF_A_LENS:
+                unusable.append(words)
     if taken:
         return lists_poses(path)  # as files of industrial_calibration do beside the lens
     for probe in (read_samples, read_places):
@@ -329,5 +334,5 @@ def _document(
     try:
         tables.append(read_corners(path))
     except InputError:
-        return False
+        remarks += unusable
     return False

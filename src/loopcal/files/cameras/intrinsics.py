@@ -30,6 +30,10 @@ _DEPTH = 4
 """Mappings within mappings in which cameras are looked for."""
 _BROWN = {0: "pinhole", 4: "brown5", 5: "brown5", 8: "brown8", 12: "brown12", 14: "brown12"}
 """Coefficients of OpenCV -> lens; of 4 the k3 is 0, the last two of 14 tilt the sensor."""
+_P = 12
+"""Numbers of P of a `camera_info`, 3 x 4."""
+_ENDS = {1: 4, 2: 4, 6: 8, 7: 8}
+"""Lengths of lists that end with k1, k2, k4 or k5, and of those that go on with zeros."""
 _OF = r"[_-]?(?P<of>\d+|l|r|left|right)?"
 _MATRIX = re.compile(rf"(?:camera_?matrix|intrinsics?(?:_?matrix)?|mtx|k|m){_OF}", re.IGNORECASE)
 _DISTORTION = re.compile(
@@ -96,7 +100,9 @@ def _camera(part: Part) -> Intrinsics | None:
             raise _unsupported(model, "plumb_bob, rational_polynomial and equidistant")
         lens = _of_matrix(matrix, D, _image(part), fisheye)
         P = part.get("projection_matrix", "P", "p")
-        fx, _, cx, _, _, fy, cy, *_ = P.numbers(12) if P else [0.0] * 12
+        stated = P.numbers() if P else ()
+        # A rectified image is one possibility among others: what is no matrix says nothing of it.
+        fx, _, cx, _, _, fy, cy, *_ = stated if len(stated) == _P else [0.0] * _P
         return replace(lens, rectified=(fx, fy, cx, cy)) if fx > 0.0 and fy > 0.0 else lens
     if "camera_model" in part and "intrinsics" in part:
         return _of_kalibr(part)
@@ -171,6 +177,13 @@ def _matrices(part: Part, name: str) -> Iterator[tuple[str, Intrinsics]]:
 
 def _of_matrix(K: Part, D: Part | None, image: tuple[int, int] | None, fisheye: bool) -> Intrinsics:
     fx, skew, cx, zero, fy, cy, *last = K.numbers(9)
+    if not any(K.numbers()):
+        raise InputError(
+            "the camera matrix is zero, as of a camera that was never calibrated",
+            code="invalid-value",
+            place=K.place,
+            remedy="calibrate the camera, or leave the file out",
+        )
     if zero or last != [0.0, 0.0, 1.0]:
         raise K.wrong("a camera matrix fx 0 cx, 0 fy cy, 0 0 1")
     if abs(skew) > 1e-9 * abs(fx):
@@ -199,6 +212,10 @@ def _made(
             remedy="an uncalibrated camera has none: calibrate it, or leave the file out",
         )
     D = tuple(D)
+    most = 4 if fisheye else max(_BROWN)
+    while len(D) > most and D[-1] == 0.0:
+        D = D[:-1]
+    D = (*D, *[0.0] * (_ENDS.get(len(D), 0) - len(D)))
     if fisheye:
         lens, wanted = "fisheye", "4"
         counts: Sequence[int] = (0, 4)

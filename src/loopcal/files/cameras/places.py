@@ -40,7 +40,8 @@ class PlaceTable:
     """Places by image or pose: names, and T (N, 4, 4) [m] of each as the file states it.
 
     ways: T by what its turns may mean, in words, where the file leaves that open; T is the first.
-    counted: whether the file has no names, and its rows are counted from 1.
+    counted: whether the file has no names, and its rows are counted from 1; measured: whether its
+    columns state the unit of positions.
     """
 
     name: tuple[str, ...]
@@ -48,6 +49,7 @@ class PlaceTable:
     file: str = ""
     ways: Mapping[str, Array] = field(default_factory=dict)
     counted: bool = False
+    measured: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +148,9 @@ def _of_source(source: Source, path: Path) -> PlaceTable:
             place=path.name,
             remedy="state all its numbers, or remove its row",
         )
-    return PlaceTable(names, T, path.name, ways if "" not in ways else {}, counted)
+    position = () if seen is None else seen.position
+    measured = bool(position) and all(f.unit for f in position)
+    return PlaceTable(names, T, path.name, ways if "" not in ways else {}, counted, measured)
 
 
 def _ways(seen: Seen, count: int) -> dict[str, Array]:

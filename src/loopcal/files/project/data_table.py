@@ -134,6 +134,14 @@ class DataTable(FileTable):
         SourceTable | None,
         Key("How files in the layout of the user's first ones are read on later days."),
     ] = None
+    flange: Annotated[
+        tuple[str, ...],
+        Key(
+            "How `init` read the poses of the flange beside images, by which those of later days "
+            "are read.",
+            example=["inverted", "positions in mm"],
+        ),
+    ] = ()
     observe: Annotated[
         tuple[str, ...],
         Key(

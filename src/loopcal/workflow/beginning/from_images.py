@@ -10,9 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from loopcal.arrays import Array
 from loopcal.errors import InputError, listed
 from loopcal.estimation.cameras.corners import Corners
+from loopcal.estimation.cameras.parts import in_parts
 from loopcal.estimation.cameras.start import (
+    CameraStart,
     started,
     way_of_turning,
     with_stated_lenses,
@@ -48,17 +51,28 @@ class FromImages:
         return tuple(p for f in facts if f.code == UNEXPLAINED for p in f.images)
 
     @property
-    def share(self) -> float:
-        """What poses of the robot leave of how far points move between images; 0 without any."""
+    def shares(self) -> dict[str, float]:
+        """Of each camera, what poses of the robot leave of how far points move between images;
+        empty without a robot."""
         begun = self.project.begun
         if begun.T_base_flange is None:
-            return 0.0
+            return {}
         c = begun.corners
         of_point = np.unique([c.camera, c.board, c.point], axis=1, return_inverse=True)[1].ravel()
         count = np.bincount(of_point)
         away = [x - (np.bincount(of_point, x) / count)[of_point] for x in c.uv.T]
-        left, moved = (float(np.median(np.hypot(*d))) for d in (begun.residuals.T, away))
-        return left / max(moved, 1e-9)
+        left, moved = np.hypot(*begun.residuals.T), np.hypot(*away)
+        several = count[of_point] > 1  # a point that is seen once does not move
+        return {
+            name: float(np.median(left[mine])) / max(float(np.median(moved[mine])), 1e-9)
+            for k, name in enumerate(c.cameras)
+            if (mine := several & (c.camera == k)).any()
+        }
+
+    @property
+    def share(self) -> float:
+        """That of the camera of which most is left; 0 without a robot."""
+        return max(self.shares.values(), default=0.0)
 
     def clear_of(self, out: LeftOut) -> Begun:
         """What was begun without what is left out, and without doubts of images that fit."""
@@ -154,8 +168,10 @@ def on_another_link(
         remarks = (*best.begun.remarks, words)
         return replace(best, begun=replace(best.begun, remarks=remarks))
     if made.share > NOTHING:
+        worst = max(made.shares, key=lambda camera: made.shares[camera])
+        of = f" of the camera {worst!r}" if len(made.shares) > 1 else ""
         raise InputError(
-            "the poses of the robot do not explain the images: corners are "
+            f"the poses of the robot do not explain the images{of}: corners are "
             f"{significant(made.project.begun.rms, 2)} px off",
             code="mismatched-poses",
             remedy="check the joints, their units and signs, the order of the rows, and which link "
@@ -175,10 +191,10 @@ def _made(project: ImagesProject, remarks: tuple[str, ...]) -> Begun:
 
 
 def understood(
-    files: Files, hand: Hand, held: bool | None = None
+    files: Files, hand: Hand, held: Mapping[str, bool] | None = None
 ) -> tuple[ImagesProject, tuple[str, ...]]:
-    """A project of the files, and what was changed of the stated lenses; held: the board is on the
-    flange, None where the images are to show it."""
+    """A project of the files, and what was changed of the stated lenses; held: by camera, whether
+    the board that it sees is on the flange, None where the images are to show it."""
     boards = [named(files.boards, name) for name in files.corners.boards]
     table, renamed = matched(files.corners, boards, hand.poses, counted=hand.counted)
     corners = _corners(table, boards, hand.poses)
@@ -186,14 +202,23 @@ def understood(
     lenses, turned = _upright(stated, table)
     if hand.ways:
         hand = hand.turned(way_of_turning(hand.ways, corners, lenses, sizes))
-    begun = started(corners, hand.T_base_flange, lenses, sizes, held)
+
+    def begin(lenses: Mapping[str, Intrinsics]) -> CameraStart:
+        def run(corners: Corners, T_base_flange: Array | None) -> CameraStart:
+            cameras = corners.cameras
+            mount = None if held is None else held[cameras[0]]
+            some = {camera: lenses[camera] for camera in cameras if camera in lenses}
+            begun = started(corners, T_base_flange, some, sizes, mount)
+            # What was stated is nominal: what the images add to it is for the calibration to say.
+            return with_stated_lenses(begun) if len(some) == len(cameras) else begun
+
+        return in_parts(corners, hand.T_base_flange, run)
+
+    begun = begin(lenses)
     if turned and any(fact.code == "u-reversed" for fact in begun.facts):
         # An image on its side that is a mirror besides is one whose u and v are exchanged.
         lenses, turned = stated, ()
-        begun = started(corners, hand.T_base_flange, lenses, sizes, held)
-    if set(lenses) >= set(table.cameras):
-        # What was stated is nominal: what the images add to it is for the calibration to say.
-        begun = with_stated_lenses(begun)
+        begun = begin(lenses)
     if hand.T_base_flange is None:
         hand = unread(begun, hand)
     elif begun.T_base_flange is not None:

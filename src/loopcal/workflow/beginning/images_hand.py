@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,8 @@ import numpy as np
 
 from loopcal.arrays import Array
 from loopcal.errors import InputError, listed
+from loopcal.estimation.cameras.facts import Fact
+from loopcal.estimation.cameras.hand_changes import CHANGES, POSITIONS, changed
 from loopcal.estimation.cameras.start import (
     CameraStart,
 )
@@ -36,7 +38,8 @@ Describe = Callable[[Sequence[Field]], Robot]
 class Hand:
     """The body that moves: its columns of readings by quantity [SI], and T_base_flange (N, 4, 4)
     by pose; ways: these by what their turns may mean, in words; table: of the mechanism without
-    instruments; noise: of its readings; counted: whether the poses have no names of their own."""
+    instruments; noise: of its readings; counted: whether the poses have no names of their own;
+    measured: whether the unit of positions is stated."""
 
     poses: tuple[str, ...]
     table: Mapping[str, Any]
@@ -47,12 +50,41 @@ class Hand:
     parameters: Mapping[str, Any] = field(default_factory=dict)
     ways: Mapping[str, Array] = field(default_factory=dict)
     counted: bool = False
+    measured: bool = False
 
     def turned(self, way: str) -> Hand:
         """With its turns understood in this way."""
         T = self.ways[way]
         remarks = (*self.remarks, f"turns of the flange: {way}")
-        return replace(self, T_base_flange=T, readings=flange_columns(T), remarks=remarks)
+        return replace(
+            self, T_base_flange=T, readings=flange_columns(T), remarks=remarks, ways={way: T}
+        )
+
+    def read_as(self, words: Sequence[str]) -> Hand:
+        """With poses read as those of the first day were (`hand_changes`); joints stay."""
+        some = [
+            word
+            for word in words
+            if word in self.ways or (word in CHANGES and not (self.measured and word in POSITIONS))
+        ]
+        if not some or self.T_base_flange is None or "x" not in self.readings:
+            return self
+        T = changed(self.T_base_flange, self.ways, some)
+        others = {} if self.ways.keys() & {*some} else self.ways
+        return replace(
+            self,
+            T_base_flange=T,
+            readings=flange_columns(T),
+            ways={way: changed(other, {}, some) for way, other in others.items()},
+            remarks=(*self.remarks, f"poses of the flange are read as before: {', '.join(some)}"),
+        )
+
+    def words(self, facts: Iterable[Fact]) -> list[str]:
+        """As `read_as` takes them: how the turns were understood, and what images changed."""
+        if "x" not in self.readings:
+            return []
+        stated = [*self.ways] if len(self.ways) == 1 else []
+        return [*stated, *(fact.poses for fact in facts if fact.poses)]
 
     def corrected(self, T: Array) -> Hand:
         """With the poses that the images fit: joints are those of the row that stands there."""
@@ -88,6 +120,7 @@ def hand_of(
             (words,),
             ways=stated.ways,
             counted=stated.counted,
+            measured=stated.measured,
         )
     remarks: tuple[str, ...] = ()
     if poses:

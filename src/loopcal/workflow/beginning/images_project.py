@@ -68,8 +68,8 @@ UNFIT = (UNEXPLAINED, "wrong-corners")
 class ImagesProject:
     """The tables of the project, and the files beside it.
 
-    on_body: the camera's body carries it, so that its place and that of the board are the inverse
-    ones; by default as `begun` has it.
+    on_body: the cameras' bodies carry them, so that their places and those of the boards are the
+    inverse ones; by default as `begun` has each.
     """
 
     def __init__(
@@ -83,8 +83,10 @@ class ImagesProject:
     ) -> None:
         self.title = title
         self.begun, self.hand, self.table, self.stated = begun, hand, table, stated
-        self.on_body = begun.held is False if on_body is None else on_body
         corners = begun.corners
+        carried = begun.on_flange if on_body is None else {*corners.cameras} if on_body else ()
+        self.on_body = [camera in carried for camera in corners.cameras]
+        self._seen_by = dict(sorted({(b, c) for c, b in self._pairs()}))
         seen = np.unique(corners.image, return_counts=True)
         enough = seen[1] >= (_FEWEST if hand.table.get("read") is False else 1)
         self.kept = [int(i) for i in seen[0][enough]]
@@ -114,6 +116,7 @@ class ImagesProject:
     def tables(self) -> dict[str, Any]:
         """Of the project file."""
         hand = self.hand
+        read_as = hand.words(self.begun.facts)
         spread = {k: k for k in ("pose", "camera", "board", "point", "u", "v")}
         return {
             "schema": SCHEMA,
@@ -126,6 +129,7 @@ class ImagesProject:
             "data": {
                 "file": READINGS,
                 "pose": "pose",
+                **({"flange": read_as} if read_as else {}),
                 "join": [{"file": CORNERS, "pose": "pose", "spread": spread}],
             },
             "noise": {**hand.noise, **self._noise()},
@@ -162,7 +166,7 @@ class ImagesProject:
                 "name": name,
                 "eye": self.eyes[camera],
                 "board": self.boards[board.name],
-                "on": "body" if self.on_body else "base",
+                "on": "body" if self.on_body[c] else "base",
                 "lens": self.begun.intrinsics[camera].lens,
                 **({} if image is None else {"image": list(image)}),
                 "offsets": not board.planar,
@@ -173,15 +177,16 @@ class ImagesProject:
         begun, corners = self.begun, self.begun.corners
         stated: dict[str, Any] = dict(self.hand.parameters)
         free = self.hand.table.get("read") is False
-        held = begun.held is not False
         blind = any(fact.code in ("no-rotation", "parallel-axes") for fact in begun.facts)
         # what the hand carries is a guess of the start, and no drawing
         guessed = (1e3 * NEAR, round(math.degrees(TURNED), 1))
         near = None if free else (_MOUNTED, _TURNED) if blind else guessed
         for c, (camera, eye) in enumerate(self.eyes.items()):
             X = begun.X[c] @ np.linalg.inv(begun.X[0]) if free else begun.X[c]
-            place = np.linalg.inv(X) if self.on_body else X
-            stated |= six_of(eye, place, free and c == 0, None if held else near)
+            place = np.linalg.inv(X) if self.on_body[c] else X
+            stated |= six_of(
+                eye, place, free and c == 0, near if camera in begun.on_flange else None
+            )
             lens = begun.intrinsics[camera]
             for key, value in lens.values.items():
                 entry: dict[str, Any] = {"value": float(value)}
@@ -201,7 +206,9 @@ class ImagesProject:
             alone = not board.xyz.any()  # a point at its origin has no turn
             if alone:
                 Y = rigid(np.eye(3), Y[:3, 3])
-            place = np.linalg.inv(Y) if self.on_body else Y
+            seer = self._seen_by.get(b, 0)
+            place = np.linalg.inv(Y) if self.on_body[seer] else Y
+            held = corners.cameras[seer] not in begun.on_flange
             placed = six_of(self.boards[board.name], place, free and b == 0, near if held else None)
             for turn in SIX[3:] if alone else ():
                 placed[f"{self.boards[board.name]}_{turn}"] = {"value": 0.0, "unit": "deg", **FIXED}

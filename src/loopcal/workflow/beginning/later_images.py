@@ -27,11 +27,14 @@ SAME = 1e-4
 """Points of one board differ by less than this share of it: files round."""
 
 
-def later_images(entries: Sequence[Any], mechanism: Mechanism) -> Dataset:
+def later_images(
+    entries: Sequence[Any], mechanism: Mechanism, flange: Sequence[str] = ()
+) -> Dataset:
     """Readings of another day from the files that `init` takes, for calibrated cameras.
 
-    The board and the lenses are those of the calibration. Warns of what had to be corrected, of
-    images that do not fit and of wrong corners. Raises InputError for another board.
+    The board and the lenses are those of the calibration. flange: how its poses were read on the
+    first day, and are read now. Warns of what had to be corrected, of images that do not fit and of
+    wrong corners. Raises InputError for another board.
     """
     cameras = cameras_of(mechanism)
     usual = {one.board.name: one.board for one in cameras}
@@ -44,8 +47,9 @@ def later_images(entries: Sequence[Any], mechanism: Mechanism) -> Dataset:
     for eye in eyes.values():
         refuse_unknown_eye(eye, lenses)
     files = replace(files, lenses={camera: lenses[eye] for camera, eye in eyes.items()})
-    hand = _hand(files.poses, mechanism)
-    project, _ = understood(files, hand, not cameras[0].on_body)
+    hand = _hand(files.poses, mechanism).read_as(flange)
+    on_body = {one.name: one.on_body for one in cameras}
+    project, _ = understood(files, hand, {camera: not on_body[eye] for camera, eye in eyes.items()})
     for words in doubts(project):
         warnings.warn(words, stacklevel=2)
     data = project.dataset
@@ -54,14 +58,20 @@ def later_images(entries: Sequence[Any], mechanism: Mechanism) -> Dataset:
     return replace(data.with_readings(unseen), places=project.places)
 
 
-def later_poses(entries: Sequence[Any], mechanism: Mechanism) -> Dataset | None:
+def later_poses(
+    entries: Sequence[Any], mechanism: Mechanism, flange: Sequence[str] = ()
+) -> Dataset | None:
     """Poses or joints without images, to predict from, in the tables that `init` takes.
 
-    None where no table has them. Raises InputError for turns that only images could decide.
+    flange: as in `later_images`. None where no table has them. Raises InputError for turns that
+    only images could decide.
     """
-    hand = _hand(files_of(entries), mechanism)
+    stated = _hand(files_of(entries), mechanism)
+    hand = stated.read_as(flange)
     if not hand.poses:
         return None
+    for words in hand.remarks[len(stated.remarks) :]:
+        warnings.warn(words, stacklevel=2)
     if len(hand.ways) > 1:
         raise InputError(
             "the turns of the flange can be read in several ways, and there is no image that "

@@ -238,7 +238,7 @@ def see(
     def understood_on(body: str) -> tuple[ImagesProject, tuple[str, ...]]:
         T = moving[body] if held else inverse(moving[body])
         hand = Hand(ids, {"units": {"length": units.get("length", "m")}}, {}, T, {})
-        return understood(files, hand, held)
+        return understood(files, hand, dict.fromkeys(files.corners.cameras, held))
 
     key = "sees" if "sees" in one.table else "on"
     stated = one.table.get(key, next(iter(moving)))
