@@ -232,7 +232,7 @@ def _without_print(one: CameraStart) -> Array:
     return np.asarray(left - np.einsum("nij,nj->ni", J, moved[point]))
 
 
-def _squares(one: CameraStart) -> tuple[Array, Array]:
+def _squares(one: CameraStart) -> tuple[Array, NDArray[np.intp]]:
     """(images,) mean square [px^2] of distances, of wrong corners by four medians, and count."""
     corners, d = one.corners, np.hypot(*_without_print(one).T)
     square = np.minimum(d, WRONG * np.median(d)) ** 2
