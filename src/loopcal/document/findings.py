@@ -374,6 +374,8 @@ class PredictionEntry:
     does to it, beside `residual`; empty: the outputs err by themselves."""
     smooth_errors: SmoothErrors | None = None
     """Of stated poses; null: none that are learnt, or written by an earlier version."""
+    seen: Mapping[str, float] = field(default_factory=dict)
+    """Camera -> the largest angle [rad] from the axis of its lens at which a corner was read."""
 
 
 @dataclass(frozen=True)

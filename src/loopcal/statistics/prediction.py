@@ -19,7 +19,7 @@ The answer "valid" and what `verify` expects are the same C_p + C_x (`parts_at`)
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -42,7 +42,7 @@ from loopcal.mechanisms.parallel.free_body import COLUMNS, POSITION
 from loopcal.presentation.brief import brief
 from loopcal.presentation.shown import significant, with_unit
 from loopcal.small_samples import LearntCovariance, f_limit, t_quantile
-from loopcal.statistics.predictor import Predictor, by_parameters, predictor, trace_sd
+from loopcal.statistics.predictor import Predictor, angles, by_parameters, predictor, trace_sd
 
 # Record 0054: valid up to 3.
 ALARM = 3.0
@@ -62,7 +62,8 @@ class Prediction:
     degrees of freedom of Student's t of each output, and of the denominator of F of all; inf where
     the sds are known and none was learnt from the calibration. by_residuals: whether the residuals
     of the fit stand for the noise of the readings; unlike: warnings of temperatures and loads
-    outside the range of the calibration (`Predictor.unlike`).
+    outside the range of the calibration (`Predictor.unlike`), and of corners where no image shows
+    the lens; outside: (N,) whether a pose has such corners.
     """
 
     __repr__ = brief
@@ -78,6 +79,7 @@ class Prediction:
     denominator: Array
     by_residuals: bool = False
     unlike: tuple[str, ...] = ()
+    outside: NDArray[np.bool_] | None = None
 
     @property
     def covariance(self) -> Array:
@@ -104,8 +106,9 @@ class Prediction:
 
     @property
     def extrapolated(self) -> NDArray[np.bool_]:
-        """(N,) whether the parameters' part is far above that at the calibration poses."""
-        return self.ratio > ALARM
+        """(N,) whether the parameters' part is far above that at the calibration poses, or a lens
+        is asked for where no corner was."""
+        return self.ratio > ALARM if self.outside is None else (self.ratio > ALARM) | self.outside
 
     def columns(self) -> dict[str, Array | tuple[str, ...]]:
         """As a table, one row per pose: outputs, their sds, sd by instrument, covariance, alarm."""
@@ -212,7 +215,7 @@ class Prediction:
         return [f" of {group.instrument}" if several else "" for group in self.groups]
 
     def _alarm(self) -> list[str]:
-        beyond = self.extrapolated
+        beyond = self.ratio > ALARM
         if not beyond.any():
             return []
         finite = self.ratio[beyond & np.isfinite(self.ratio)]
@@ -270,6 +273,7 @@ def predict(
     total = calibrated.covariance.through(at.slopes)
     if at.from_readings is not None:
         total = total.plus(at.from_readings)
+    outside, words = _outside(calibrated, at.angles)
     smooth = calibrated.smooth_errors
     if at.elsewhere is not None and smooth is not None:
         total = total.widened(at.elsewhere, smooth.spread)
@@ -284,7 +288,8 @@ def predict(
         total.freedom,
         total.denominator,
         at.by_residuals,
-        tuple(calibrated.unlike(data.readings)),
+        (*calibrated.unlike(data.readings), *words),
+        outside,
     )
 
 
@@ -301,6 +306,7 @@ class Parts:
     from_readings: LearntCovariance | None
     by_residuals: bool
     elsewhere: Array | None = None
+    angles: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def covariance(self) -> Array:
@@ -352,7 +358,24 @@ def parts_at(
         left if readings is None else readings,
         left is not None,
         elsewhere,
+        angles(solved, x, constants) if calibrated.seen else {},
     )
+
+
+def _outside(
+    calibrated: Predictor, at: Mapping[str, Array]
+) -> tuple[NDArray[np.bool_] | None, list[str]]:
+    """(N,) whether a corner is farther from the axis of its camera than any of the calibration, and
+    a sentence for each camera: what a lens does there its images do not show."""
+    far = {c: at[c].max(axis=1) > most for c, most in calibrated.seen.items() if c in at}
+    words = [
+        f"EXTRAPOLATION  in {int(beyond.sum())} of {len(beyond)} poses {camera!r} is to see corners"
+        f" up to {np.degrees(at[camera].max()):.0f} deg from its axis. Its images show the lens up "
+        f"to {np.degrees(calibrated.seen[camera]):.0f} deg only: take images with the board there."
+        for camera, beyond in far.items()
+        if beyond.any()
+    ]
+    return (np.any(list(far.values()), axis=0) if far else None), words
 
 
 def _elsewhere(

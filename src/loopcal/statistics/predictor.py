@@ -24,7 +24,8 @@ from loopcal.estimation.result import FitResult
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.estimation.solve.reduction import Spectrum
 from loopcal.lazy import cached_property
-from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.instruments.camera import off_axis
+from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 from loopcal.mechanisms.model_error import disturbances, with_model_error
 from loopcal.mechanisms.outputs import OutputGroup, output_groups
 from loopcal.presentation.brief import brief
@@ -100,7 +101,8 @@ class Predictor:
     conditions: known column (temperature, load) -> its range [SI] in the calibration; shared:
     output -> what errors that all outputs of an image share do to it (`PredictionEntry`);
     pose_part: (n, n) what `covariance` lacks where a pose is far from those of the fit, and
-    smooth_errors, which say how far (of the result, without `factor`).
+    smooth_errors, which say how far (of the result, without `factor`); seen: camera -> the largest
+    angle [rad] from its axis at which a corner was read.
     """
 
     __repr__ = brief
@@ -118,6 +120,7 @@ class Predictor:
     shared: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     pose_part: Array | None = None
     smooth_errors: SmoothErrors | None = None
+    seen: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
     def units(self) -> dict[str, str]:
@@ -138,6 +141,7 @@ class Predictor:
             conditions=self.conditions,
             shared=self.shared,
             smooth_errors=self.smooth_errors,
+            seen=self.seen,
         )
 
     def unlike(self, columns: Mapping[str, Array]) -> list[str]:
@@ -198,6 +202,7 @@ def predictor_of(document: ResultDocument, mechanism: Mechanism) -> Predictor:
         shared=stored.shared,
         pose_part=pose_part,
         smooth_errors=stored.smooth_errors,
+        seen=stored.seen,
     )
 
 
@@ -247,7 +252,34 @@ def predictor(result: FitResult) -> Predictor | None:
         shared=shared,
         pose_part=result.pose_part,
         smooth_errors=result.smooth_errors,
+        seen=_seen(problem, made.mechanism, x),
     )
+
+
+def angles(mechanism: Mechanism, x: Array, constants: Array) -> dict[str, Array]:
+    """Camera -> (N, points) angle [rad] from its axis to each point of its board, at readings x
+    (k, N) and constants (c, N)."""
+    readings = dict(zip(mechanism.tape.quantities, np.nan_to_num(x), strict=True))
+    readings |= dict(zip(mechanism.pose_constants, constants, strict=True))
+    each = {
+        family.name: off_axis(mechanism, family, readings, x.shape[1])
+        for family in mechanism.families
+        if family.form == PIXELS
+    }
+    return {name: angle for name, angle in each.items() if angle is not None}
+
+
+def _seen(problem: Problem, mechanism: Mechanism, x: Array) -> dict[str, float]:
+    """Camera -> the largest angle at which a corner was read."""
+    names, sd = mechanism.tape.quantities, problem.uncertainty.sd
+    constants = as_now(mechanism, problem.pose_constants)
+    families, seen = {family.name: family for family in mechanism.families}, {}
+    for name, angle in angles(mechanism, x, constants).items():
+        rows = [names.index(q) for q in families[name].readings[::2]]
+        read = np.isfinite(np.broadcast_to(sd, x.shape)[rows]) & np.isfinite(problem.readings[rows])
+        if read.any():
+            seen[name] = float(angle[read.T].max())
+    return seen
 
 
 def _residual_sd(result: FitResult, outputs: Sequence[str]) -> float | None:

@@ -470,6 +470,39 @@ def test_a_wide_lens_that_nobody_states_is_bent_by_eight_coefficients(tmp_path: 
     assert {"camera_1_p1", "camera_1_k6"} <= {*project.mechanism.parameters.names}
 
 
+def test_a_prism_before_a_lens_is_seen_in_images_alone(tmp_path: Path) -> None:
+    """Boards before a lens that is neither wide nor stated, by OpenCV's formula."""
+    random = np.random.default_rng(6)
+    xyz = np.array([*POINTS.values()])
+    turns = Rotation.from_euler("xyz", random.uniform(-35.0, 35.0, (30, 3)), degrees=True)
+    places = random.uniform((-0.25, -0.2, 0.5), (0.1, 0.1, 0.6), (30, 3))
+    P = np.einsum("nij,pj->pni", turns.as_matrix(), xyz) + places
+    x, y = P[..., 0] / P[..., 2], P[..., 1] / P[..., 2]
+    r2 = x**2 + y**2
+    u = 1300.0 * (x * (1.0 - 0.1 * r2) + 0.008 * r2) + 640.0
+    v = 1300.0 * (y * (1.0 - 0.1 * r2) - 0.008 * r2) + 480.0
+    uv = np.stack([u, v], axis=1)
+    written(tmp_path, uv + random.normal(0.0, 0.05, uv.shape), None)
+    project = lc.init(tmp_path)
+    assert any("twelve coefficients" in one for one in project.remarks)
+    assert "camera_1_s3" in project.mechanism.parameters.names
+
+
+def test_corners_beyond_those_of_the_images_count_as_extrapolated(tmp_path: Path) -> None:
+    T = hands(20, 5)
+    uv = pixels(T, on="base")
+    written(tmp_path, uv + np.random.default_rng(6).normal(0.0, 0.1, uv.shape), T)
+    project = lc.init(tmp_path)
+    noise = project.noise
+    result = lc.calibrate(project.mechanism, project.dataset, noise=noise, method="implicit-loop")
+    again = lc.predict(result, project.dataset)
+    assert not again.extrapolated.any()
+    moved = {**project.dataset.readings, "x": project.dataset.readings["x"] + 0.4}
+    beyond = lc.predict(result, moved)
+    assert beyond.extrapolated.sum() > 10
+    assert "deg from its axis" in beyond.words()
+
+
 def test_what_a_print_leaves_shows_no_other_lens(tmp_path: Path) -> None:
     """Of a print that is off by a pixel a fisheye left 1 % less than the usual lens."""
     shots(515, False).write(tmp_path)

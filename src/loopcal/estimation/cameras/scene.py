@@ -25,6 +25,8 @@ from loopcal.mechanisms.rotations import skew
 
 PRIOR_DISTORTION = 1.0
 """Prior sd of a coefficient in a start: lenses have |k1| below 1, and a narrow view shows none."""
+PRIOR_TANGENTIAL = 0.02
+"""The same of p and s, which together turn the camera: beyond 1 degree it is the camera's place."""
 TURN = 0.0175
 """Turns of less than 1 degree, rms: an error of 1 mm would move what they tell by 57 mm."""
 HELD = 1e-4
@@ -257,7 +259,8 @@ class _Columns:
             now, then = scene.intrinsics[c].values, start.intrinsics[c].values
             width = 2.0 * max(start.intrinsics[c].cx, start.intrinsics[c].cy)
             centre = name in ("cx", "cy")
-            sd = PRIOR_CENTRE * width if centre else PRIOR_DISTORTION
+            bend = PRIOR_TANGENTIAL if name[0] in "ps" else PRIOR_DISTORTION
+            sd = PRIOR_CENTRE * width if centre else bend
             off = now[name] - (then[name] if centre else 0.0)
             N[column, column] = (scale / sd) ** 2
             g[column] = -N[column, column] * off

@@ -6,7 +6,7 @@ closed form, adjust it by a soft loss with the robot held, and name what the ima
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,34 +15,50 @@ from numpy.typing import NDArray
 from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.estimation.cameras.board_pose import BoardPoses, facing
-from loopcal.estimation.cameras.corners import Corners
+from loopcal.estimation.cameras.corners import Corners, Views
 from loopcal.estimation.cameras.facts import Fact
 from loopcal.estimation.cameras.homography import focal_length, homographies, spread
 from loopcal.estimation.cameras.images import explained
 from loopcal.estimation.cameras.mistakes import CLEAR, corrected, image_misfit, mounted_misfit
 from loopcal.estimation.cameras.motions import most_alike, motion_facts
+from loopcal.estimation.cameras.pixels import by_point
 from loopcal.estimation.cameras.placing import Reading, placed, usable_part, view_poses
 from loopcal.estimation.cameras.scale import scale_facts
-from loopcal.estimation.cameras.scene import REDESCENDING, Adjusted, adjusted
-from loopcal.mechanisms.cameras.lens import Intrinsics
+from loopcal.estimation.cameras.scene import (
+    REDESCENDING,
+    Adjusted,
+    Scene,
+    adjusted,
+    ahead,
+)
+from loopcal.mechanisms.cameras.lens import LENSES, Intrinsics
 
 PER_VIEW = 24
 """Corners per view that the adjustment of a start takes."""
+TRIAL = 100, 100
+"""Images, and corners per view, by which lenses are compared."""
 FITS = 3.0
 """A guessed lens is taken without trying another if the robot adds no more than this factor."""
 _WIDE = 1.2
 """What corners span over the focal length, from which a lens may be a fisheye: 62 degrees."""
 FREE = ("f", "cx", "cy", "k1", "k2")
 """What a start adjusts of a lens of the family brown; a fisheye has the same names."""
-EVERY = (*FREE, "p1", "p2", "k3", "k4", "k5", "k6")
-"""The same where a wide lens is chosen, which shows them all."""
-BENT = ("fisheye", "brown8")
-"""Lenses that bend more than the usual one, in the order in which they are tried."""
+USUAL = "brown5"
+"""The lens that is taken where images do not ask for another."""
+EVERY = ("f", "cx", "cy", *LENSES["brown12"])
+"""The same as `FREE` where another lens is chosen, which images show."""
+_WORDS = {
+    "brown8": "bent by eight coefficients",
+    "brown12": "bent by twelve coefficients",
+    "fisheye": "a fisheye",
+}
 SURE = 20.0
-"""Gain in log likelihood from which corners show another lens."""
-# Chosen, not derived: what a print leaves at its points is alike in all images, and shows no lens.
-CLEARLY_LESS = 0.1
-"""Log of the rms over that of another lens, from which it does."""
+"""Gain in log likelihood from which corners show another lens: more than half of log n for each of
+four coefficients (Schwarz 1978), for any n of corners up to 20,000."""
+WRONG = 4.0
+"""Medians of the residuals from which on a corner counts as wrong."""
+ERRORS = 2.0
+"""Standard errors over images of the same: a few images show no lens."""
 
 
 @dataclass(frozen=True)
@@ -140,46 +156,109 @@ def started(
     image_sizes: Mapping[str, tuple[int, int]],
     held: bool | None = None,
 ) -> CameraStart:
-    """`start`; a wide lens that no file states is the one that fits clearly better than others."""
+    """`start`; a lens that no file states is the one that fits clearly better than others."""
     begun = start(corners, T_base_flange, intrinsics, image_sizes, held)
     unstated = [camera for camera in corners.cameras if camera not in intrinsics]
+    if not unstated:
+        return begun
     seen = {c: corners.uv[corners.camera == i] for i, c in enumerate(corners.cameras)}
     reach = [float(np.ptp(seen[c], axis=0).max()) / begun.intrinsics[c].fx for c in unstated]
-    if max(reach, default=0.0) < _WIDE:
-        return begun
     # By boards wherever they stand: errors of a robot would hide what a lens leaves.
-    trials = {"brown5": _left(corners, intrinsics, image_sizes, "brown5")}
-    lens = "brown5"
-    for other in BENT:
-        trials[other] = _left(corners, intrinsics, image_sizes, other)
-        gain = np.log(trials[lens] / trials[other])
-        if 2.0 * len(corners) * gain > SURE and gain > CLEARLY_LESS:
+    tried = {USUAL: _with_lens(begun, USUAL, unstated)}
+    if max(reach) > _WIDE:
+        try:
+            wide = start(corners, None, intrinsics, image_sizes, lens="fisheye", free=EVERY)
+            tried["fisheye"] = _with_lens(wide, "fisheye", unstated)
+        except InputError:
+            pass
+    tried |= {each: _with_lens(begun, each, unstated) for each in ("brown8", "brown12")}
+    lens = USUAL
+    for other in tried:
+        if _clearly_better(tried[other], tried[lens]):
             lens = other
-    if lens == "brown5":
+    if lens == USUAL:
         return begun
     bent = start(corners, T_base_flange, intrinsics, image_sizes, held, lens=lens, free=EVERY)
-    what = "a fisheye" if lens == "fisheye" else "bent by eight coefficients"
     words = (
-        f"No file states the lens. It is taken as {what}, which leaves {trials[lens]:.2f} px at "
-        f"corners of boards that stand anywhere, the usual lens {trials['brown5']:.2f} px."
+        f"No file states the lens. It is taken as {_WORDS[lens]}, which leaves "
+        f"{_rms(tried[lens]):.2f} px at corners of boards that stand anywhere, the usual lens "
+        f"{_rms(tried[USUAL]):.2f} px."
     )
     return replace(bent, facts=(Fact(f"lens-{lens}", words, applied=True), *bent.facts))
 
 
-def _left(
-    corners: Corners,
-    intrinsics: Mapping[str, Intrinsics],
-    image_sizes: Mapping[str, tuple[int, int]],
-    lens: str,
-) -> float:
-    """Rms [px] of boards with free poses, of wrong corners but four medians; infinite where none
-    can be placed."""
-    try:
-        one = start(corners, None, intrinsics, image_sizes, lens=lens, free=EVERY)
-    except InputError:
-        return np.inf
-    d = np.hypot(*one.residuals.T)
-    return max(float(np.sqrt(np.mean(np.minimum(d, 4.0 * np.median(d)) ** 2))), 1e-9)
+def _with_lens(begun: CameraStart, lens: str, cameras: Collection[str]) -> CameraStart:
+    """Some images with another lens of the same family in these cameras, boards with free poses."""
+    lenses = tuple(
+        Intrinsics.of(lens, dict.fromkeys(LENSES[lens], 0.0) | one.values, one.image)
+        if camera in cameras
+        else one
+        for camera, one in begun.intrinsics.items()
+    )
+    views, X = begun.corners.views, begun.X @ np.linalg.inv(begun.X[0])
+    boards = np.linalg.inv(X[views.camera]) @ begun.T_camera_board
+    begins = dict(zip(_images(views), boards, strict=True))
+    few = Reading(begun.corners, None, lenses).thinned(*TRIAL)
+    corners, free = few.corners, _of_all(few, EVERY)
+    F = np.array([begins[one] for one in sorted({*_images(corners.views)})])
+    result = adjusted(corners, Scene(lenses, X, np.eye(4)[None], F=F), free, iterations=20)
+    result = adjusted(corners, result.scene, free, iterations=20, loss=REDESCENDING)
+    return replace(
+        begun,
+        corners=corners,
+        intrinsics=dict(zip(corners.cameras, result.scene.intrinsics, strict=True)),
+        T_camera_board=result.scene.of_views(corners.views),
+        residuals=result.residuals,
+    )
+
+
+def _images(views: Views) -> list[tuple[int, int]]:
+    """Image and board of each view, by which free poses are ordered."""
+    return list(zip(views.image.tolist(), views.board.tolist(), strict=True))
+
+
+def _without_print(one: CameraStart) -> Array:
+    """(N, 2) [px] residuals less those of a point of a board that is elsewhere, alike in all
+    images: another lens would take up a part of them."""
+    corners, left = one.corners, one.residuals
+    T = one.T_camera_board[corners.views.of_corner]
+    P = (T[:, :3, :3] @ corners.xyz[:, :, None])[:, :, 0] + T[:, :3, 3]
+    J = np.empty((len(corners), 2, 3))
+    for c, lens in enumerate(one.intrinsics.values()):
+        mine = corners.camera == c
+        J[mine] = by_point(lens.lens, ahead(P[mine]), lens.values) @ T[mine, :3, :3]
+    d = np.hypot(*left.T)
+    J_good = np.where((d < WRONG * np.median(d))[:, None, None], J, 0.0)
+    ids = np.stack([corners.board, corners.point], axis=1)
+    point = np.unique(ids, axis=0, return_inverse=True)[1].reshape(-1)
+    N, g = np.zeros((point.max() + 1, 3, 3)), np.zeros((point.max() + 1, 3))
+    np.add.at(N, point, np.swapaxes(J_good, 1, 2) @ J_good)
+    np.add.at(g, point, np.einsum("nij,ni->nj", J_good, left))
+    moved = np.einsum("kij,kj->ki", np.linalg.pinv(N, rcond=1e-6, hermitian=True), g)
+    return np.asarray(left - np.einsum("nij,nj->ni", J, moved[point]))
+
+
+def _squares(one: CameraStart) -> tuple[Array, NDArray[np.intp]]:
+    """(images,) mean square [px^2] of distances, of wrong corners by four medians, and count."""
+    corners, d = one.corners, np.hypot(*_without_print(one).T)
+    square = np.minimum(d, WRONG * np.median(d)) ** 2
+    count = np.bincount(corners.image, minlength=len(corners.poses))
+    sums = np.bincount(corners.image, square, len(corners.poses))
+    return sums / np.maximum(count, 1), count
+
+
+def _rms(one: CameraStart) -> float:
+    square, count = _squares(one)
+    return float(np.sqrt(square @ count / count.sum()))
+
+
+def _clearly_better(other: CameraStart, one: CameraStart) -> bool:
+    """Whether the lens of the first fits more likely, and in images by more than chance."""
+    (less, n), (more, m) = _squares(other), _squares(one)
+    gain = np.minimum(n, m) * (more - less) / max(_rms(other), 1e-9) ** 2
+    gain = gain[(n > 0) & (m > 0)]
+    error = np.sqrt(len(gain)) * gain.std()
+    return bool(gain.sum() > max(SURE, ERRORS * error))
 
 
 def _behind(reading: Reading, result: Adjusted) -> list[Fact]:

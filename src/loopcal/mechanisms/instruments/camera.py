@@ -359,19 +359,29 @@ def boards_in_camera(
     return np.asarray(eyes @ T @ boards if on_base else inverse(boards @ T @ eyes))
 
 
+def off_axis(
+    mechanism: Mechanism, family: Family, readings: Mapping[str, NDArray[np.float64]], count: int
+) -> NDArray[np.float64] | None:
+    """(N, points) angle [rad] from the axis of a camera to each point of its board; None where
+    nothing says where the board is; readings: as of `boards_in_camera`."""
+    entry = next((one for one in all_cameras(mechanism) if one.instrument == family.name), None)
+    if entry is None or not (mechanism.tree or {*COLUMNS} <= readings.keys()):
+        return None
+    M = boards_in_camera(mechanism, family, readings, count)
+    x, y, z = np.moveaxis(M[:, :3, :3] @ entry.board.xyz.T + M[:, :3, 3:], 1, 0)
+    return np.asarray(np.arctan2(np.hypot(x, y), z))
+
+
 def before_lens(
     mechanism: Mechanism, family: Family, readings: Mapping[str, NDArray[np.float64]], count: int
 ) -> NDArray[np.bool_]:
     """(N,) whether all of the board is in front of the camera, and where its lens does not turn
     back: of what is elsewhere a pixel is computed too, but no image shows it; readings: as of
     `boards_in_camera`."""
-    entry = next((one for one in all_cameras(mechanism) if one.instrument == family.name), None)
-    if entry is None or not (mechanism.tree or {*COLUMNS} <= readings.keys()):
+    angle = off_axis(mechanism, family, readings, count)
+    if angle is None:
         return np.ones(count, dtype=bool)
-    lens, M = entry.intrinsics, boards_in_camera(mechanism, family, readings, count)
-    x, y, z = np.moveaxis(M[:, :3, :3] @ entry.board.xyz.T + M[:, :3, 3:], 1, 0)
-    across = np.hypot(x, y)
+    lens = next(one for one in all_cameras(mechanism) if one.instrument == family.name).intrinsics
     most = turning_radius(lens.lens, lens.values)
-    if lens.lens == "fisheye":
-        return np.asarray((np.arctan2(across, z) < most).all(axis=1))
-    return np.asarray(((z > 0.0) & (across < most * z)).all(axis=1))
+    most = most if lens.lens == "fisheye" else np.arctan(most)
+    return np.asarray((angle < most).all(axis=1))

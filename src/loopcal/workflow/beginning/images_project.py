@@ -34,9 +34,8 @@ _NORMAL = 1.4826
 """The sd of normal values over the median of their sizes."""
 POINT_SD = 0.5e-3
 """How far markers on a body are from where they are stated [m], as its sd."""
-USUAL = {"k2": 0.5, "p1": 5e-3, "p2": 5e-3, "k3": 1.0} | dict.fromkeys(
-    ("k4", "k5", "k6", "s1", "s2", "s3", "s4"), 1.0
-)
+USUAL = {"k2": 0.5} | dict.fromkeys(("k3", "k4", "k5", "k6"), 1.0)
+USUAL |= dict.fromkeys(("p1", "p2", "s1", "s2", "s3", "s4"), 5e-3)
 """Prior sds of coefficients of distortion that few images determine. Chosen: lenses on sale have
 smaller ones."""
 _STATED, _CENTRED = 0.02, 0.05
