@@ -361,9 +361,10 @@ class Search:
         return BENDS if log_p < math.log(self.level) else 0
 
     def _beside(self, gain: float, rank: int, fit: Fitted, *, ramp: bool) -> float:
-        """Log of the corrected p-value of a gain in units of the scatter without the change."""
+        """Log of the corrected p-value of a gain beside a fit, in whatever scale of its rows."""
+        share = gain / fit.squares if fit.squares else 0.0
         spare = max(fit.spare - rank, 1.0)
-        return log_share(gain / fit.spare, rank, spare) + math.log(self.tests[ramp])
+        return log_share(share, rank, spare) + math.log(self.tests[ramp])
 
     def _best(
         self,

@@ -80,7 +80,7 @@ def log_share(share: float, rank: int, spare: float) -> float:
     As chi-squared it is -(spare + rank / 2 - 1) log(1 - share) (Bartlett 1938, A note on tests of
     significance in multivariate analysis), which is exact for two columns.
     """
-    left = max(1.0 - share, 1e-300)
+    left = max(1.0 - share, 1e-12)
     return log_tail(-(spare + 0.5 * rank - 1.0) * math.log(left), rank)
 
 

@@ -262,6 +262,14 @@ class Fitted:
         used = len(self._factor.values) - float(self._factor.variances @ self.precision)
         return max(count - used, 0.1 * count)
 
+    @cached_property
+    def squares(self) -> float:
+        """What the fit leaves, with what it costs to move from what is known beforehand."""
+        known = self.precision > 0.0
+        away = np.sqrt(self.precision[known]) * self.z[known]
+        away -= self.pull[known] / np.sqrt(self.precision[known])
+        return float(np.square(self.left).sum() + np.square(away).sum())
+
     @property
     def p_values(self) -> Array:
         """(N,) of what is left of each pose."""
