@@ -57,6 +57,8 @@ SURE = 20.0
 four coefficients (Schwarz 1978), for any n of corners up to 20,000."""
 WRONG = 4.0
 """Medians of the residuals from which on a corner counts as wrong."""
+FINEST = 0.01
+"""[px] No corner is found more exactly: below, a lens fits its own rounding."""
 ERRORS = 2.0
 """Standard errors over images of the same: a few images show no lens."""
 
@@ -255,7 +257,7 @@ def _rms(one: CameraStart) -> float:
 def _clearly_better(other: CameraStart, one: CameraStart) -> bool:
     """Whether the lens of the first fits more likely, and in images by more than chance."""
     (less, n), (more, m) = _squares(other), _squares(one)
-    gain = np.minimum(n, m) * (more - less) / max(_rms(other), 1e-9) ** 2
+    gain = np.minimum(n, m) * (more - less) / max(_rms(other), FINEST) ** 2
     gain = gain[(n > 0) & (m > 0)]
     error = np.sqrt(len(gain)) * gain.std()
     return bool(gain.sum() > max(SURE, ERRORS * error))
