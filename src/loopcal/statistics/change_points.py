@@ -7,7 +7,8 @@ other values. For each candidate, with columns C_i (r, d) in the whitened equati
                                             U = sum_i>=t C_i^T Z_i,  H = Z^T Z + P
 
 is what chi-squared falls by if the candidate changes at t and all else, Z, is fitted anew (Andrews
-1993): what the parameters can absorb counts for nothing. The most significant one joins Z, all are
+1993): what the parameters can absorb counts for nothing. Its share of the squares that are left is
+tested (`log_share`), which holds for few poses too. The most significant one joins Z, all are
 placed anew, and the search goes on while the next is significant after Bonferroni's correction for
 all poses and candidates. A candidate may also change all along the poses in which it was seen, in
 proportion to their number.
