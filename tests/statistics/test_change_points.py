@@ -165,10 +165,10 @@ def test_a_link_that_bends_is_named_and_no_zero_or_target(name: str, size: float
 
 
 def test_a_link_that_cools_is_no_step() -> None:
-    """It was "from pose 26 on a link changed" where it had shrunk all along the run; seldom the
-    drift of an instrument does the same."""
+    """It was "from pose 26 on a link changed" where it had shrunk all along the run; for one of
+    eight the drift of an instrument does the same."""
     answers = []
-    for seed in range(6):
+    for seed in range(8):
         poses = joints(80, seed)
         cold, warm = read(poses, seed), read(poses, seed, {"x2": 1e-3})
         share = np.exp(-np.linspace(0.0, 4.0, 80))
@@ -176,7 +176,7 @@ def test_a_link_that_cools_is_no_step() -> None:
         shifts = lc.find_shifts(fitted(sagging(cold.with_readings(cooling))))
         assert all(point.shape == "ramp" for point in shifts.found)
         answers.append(not shifts.found and {p.moved for p in shifts.unsure} == {"link"})
-    assert sum(answers) >= 5
+    assert sum(answers) >= 7
 
 
 def test_parts_of_the_machine_that_do_the_same_change_together() -> None:

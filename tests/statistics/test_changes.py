@@ -526,7 +526,7 @@ def test_along_a_path_only_an_edge_sharper_than_the_path_is_told_from_the_machin
     whole = read(where, seed)
     bent = lc.calibrate(ARM, sagging(whole, 3e-3), method="least-squares")
     found = lc.find_shifts(bent)
-    assert found.found or found.unsure  # the machine itself looks like changes
+    assert found.found  # the machine itself looks like changes
     assert not found.told_apart
     data = sagging(joined(whole, read(where, seed, SLIP), 60), 3e-3)
     found = lc.find_shifts(lc.calibrate(ARM, data, method="least-squares"))

@@ -203,10 +203,11 @@ class Search:
                 break
             # `beside` puts columns first; `_without` counts on the same order of steps.
             steps, fit = [best, *steps], fit.beside(best.columns).again()
-        fit, steps = self._significant(*self._without_ramps(fit, steps))
+        fit, steps = self._without_ramps(fit, steps)
         smooth = self._smooth(fit, steps)
         # Sized beside all others, before any of them leaves the fit.
-        unsure = tuple(self._point(fit, steps, step) for step in smooth)
+        sized = [self._point(fit, steps, step) for step in smooth]
+        unsure = tuple(point for point in sized if self._is_sure(point))
         for step in smooth:
             fit = self._without(fit, steps, step)
             steps.remove(step)
@@ -216,18 +217,23 @@ class Search:
         if any(step.ramp for step in steps) and told_by_joints(self._joints()) is not None:
             points = [replace(point, imitated=point.shape == "ramp") for point in points]
         apart = self._distinct(fit, steps)
+        # What later ones made needless is no change.
+        sure = [(p, s in apart) for p, s in zip(points, steps, strict=True) if self._is_sure(p)]
         order = self.system.order
         fits = fit.p_values >= UNREMARKABLE if steps else np.zeros(0, dtype=bool)
         shifts = Shifts(
-            tuple(sorted(points, key=lambda point: point.number)),
+            tuple(sorted((point for point, _ in sure), key=lambda point: point.number)),
             self.level,
             len(order),
             frozenset(self.problem.poses[i] for i in order[np.flatnonzero(fits)].tolist()),
             unsure,
-            tuple(point for point, step in zip(points, steps, strict=True) if step in apart),
+            tuple(point for point, clear in sure if clear),
         )
         alike = fit.without(fit.further - self.unlike.shape[2], self.unlike.shape[2])
         return shifts, alike
+
+    def _is_sure(self, point: ChangePoint) -> bool:
+        return point.p_value < self.level
 
     def _without(self, fit: Fitted, steps: Sequence[_Step], step: _Step) -> Fitted:
         """A fit with these steps, without one of them."""
@@ -258,20 +264,16 @@ class Search:
                 fit, steps = rest.again(), others
         return fit, steps
 
-    def _significant(self, fit: Fitted, steps: list[_Step]) -> tuple[Fitted, list[_Step]]:
-        """Without steps that later ones made needless, the least significant first."""
-        while steps:
-            logs = [self._log_p(self._without(fit, steps, s), s, fit.spare) for s in steps]
-            if max(logs) < math.log(self.level):
-                break
-            least = steps[int(np.argmax(logs))]
-            fit = self._without(fit, steps, least).again()
-            steps = [s for s in steps if s is not least]
-        return fit, steps
+    def _log_p(self, fit: Fitted, step: _Step) -> float:
+        """Log of the corrected p-value of a step beside a fit without it."""
+        explained = fit.step(step.columns)
+        return self._tested(explained.gain, explained.rank, fit, ramp=step.ramp)
 
-    def _log_p(self, fit: Fitted, step: _Step, spare: float) -> float:
-        """Of a step beside a fit without it, corrected; spare: left where it is there."""
-        return fit.step(step.columns).log_p(spare) + math.log(self.tests[step.ramp])
+    def _tested(self, gain: float, rank: int, fit: Fitted, *, ramp: bool) -> float:
+        """The same of a gain, in whatever scale the rows stand."""
+        share = gain / fit.squares if fit.squares else 0.0
+        spare = max(fit.spare - rank, 1.0)
+        return log_share(share, rank, spare) + math.log(self.tests[ramp])
 
     def _distinct(self, fit: Fitted, steps: Sequence[_Step]) -> list[_Step]:
         """The steps that an error of the machine model along these poses does not look like."""
@@ -361,12 +363,6 @@ class Search:
         log_p = fit.step(curve).log_p() + math.log(self.tests[True])
         return BENDS if log_p < math.log(self.level) else 0
 
-    def _beside(self, gain: float, rank: int, fit: Fitted, *, ramp: bool) -> float:
-        """Log of the corrected p-value of a gain beside a fit, in whatever scale of its rows."""
-        share = gain / fit.squares if fit.squares else 0.0
-        spare = max(fit.spare - rank, 1.0)
-        return log_share(share, rank, spare) + math.log(self.tests[ramp])
-
     def _best(
         self,
         fitted: Fitted,
@@ -390,12 +386,11 @@ class Search:
             # Gains of different rank cannot be compared, only their p-values.
             for rank in np.unique(ranks[free & (ranks > 0)]).tolist():
                 at = int(np.argmax(np.where(free & (ranks == rank), gains, -1.0)))
-                log_p = self._beside(float(gains[at]), rank, fitted, ramp=False)
+                log_p = self._tested(float(gains[at]), rank, fitted, ramp=False)
                 trials.append((log_p + rare, log_p, _Step(candidate, at)))
             ramp = _Step(candidate, *candidate.seen)
             if ramps and change.ramps and ramp not in steps:
-                one = fitted.step(ramp.columns)
-                log_p = self._beside(one.gain, one.rank, fitted, ramp=True)
+                log_p = self._log_p(fitted, ramp)
                 trials.append((log_p, log_p, ramp))
         if not trials:
             return None, 0.0

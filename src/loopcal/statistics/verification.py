@@ -237,7 +237,7 @@ def _searched(day: Day, linear: Linearised) -> tuple[WhatChanged | None, Run]:
     what = explained.what
     if [one.kind for one in what.found] == ["delay"] and (what.left or 0.0) < LEVEL:
         return what, Run()  # what it leaves looks like moves and outliers, and is none
-    if what.found and (what.left or 0.0) < LEVEL and (alone := _moved_alone(day)):
+    if what.found and (what.left or 0.0) < LEVEL and (alone := _moved_alone(day, linear)):
         return alone
     run = searched(explained.linear, explained.columns)
     while run.outliers and (more := with_further(every, outliers, run.outliers)) is not None:
@@ -266,9 +266,8 @@ def _searched(day: Day, linear: Linearised) -> tuple[WhatChanged | None, Run]:
     return explained.what, run.among(every, outliers)
 
 
-def _moved_alone(day: Day) -> tuple[WhatChanged, Run] | None:
+def _moved_alone(day: Day, linear: Linearised) -> tuple[WhatChanged, Run] | None:
     """What moved during the run, where nothing else is needed to explain the poses."""
-    linear = day.linearised()
     run = searched(linear, np.zeros((len(linear.e), 0)))
     clear = run.shifts.told_apart
     if run.outliers or not clear or len(clear) < len(run.shifts.found):

@@ -24,15 +24,10 @@ from loopcal.estimation.cameras.motions import most_alike, motion_facts
 from loopcal.estimation.cameras.pixels import by_point
 from loopcal.estimation.cameras.placing import Reading, placed, usable_part, view_poses
 from loopcal.estimation.cameras.scale import scale_facts
-from loopcal.estimation.cameras.scene import (
-    REDESCENDING,
-    Adjusted,
-    Scene,
-    adjusted,
-    ahead,
-)
+from loopcal.estimation.cameras.scene import REDESCENDING, Adjusted, Scene, adjusted, ahead
 from loopcal.mechanisms.cameras.lens import LENSES, Intrinsics
 
+Squares = tuple[Array, NDArray[np.intp]]
 PER_VIEW = 24
 """Corners per view that the adjustment of a start takes."""
 TRIAL = 100, 100
@@ -167,16 +162,16 @@ def started(
     seen = {c: corners.uv[corners.camera == i] for i, c in enumerate(corners.cameras)}
     reach = [float(np.ptp(seen[c], axis=0).max()) / begun.intrinsics[c].fx for c in unstated]
     # By boards wherever they stand: errors of a robot would hide what a lens leaves.
-    tried = {USUAL: _with_lens(begun, USUAL, unstated)}
+    tried = {USUAL: _squares(_with_lens(begun, USUAL, unstated))}
     if _rms(tried[USUAL]) < FINEST:
         return begun
     if max(reach) > _WIDE:
         try:
             wide = start(corners, None, intrinsics, image_sizes, lens="fisheye", free=EVERY)
-            tried["fisheye"] = _with_lens(wide, "fisheye", unstated)
+            tried["fisheye"] = _squares(_with_lens(wide, "fisheye", unstated))
         except InputError:
             pass
-    tried |= {each: _with_lens(begun, each, unstated) for each in ("brown8", "brown12")}
+    tried |= {each: _squares(_with_lens(begun, each, unstated)) for each in ("brown8", "brown12")}
     lens = USUAL
     for other in tried:
         if _clearly_better(tried[other], tried[lens]):
@@ -243,7 +238,7 @@ def _without_print(one: CameraStart) -> Array:
     return np.asarray(left - np.einsum("nij,nj->ni", J, moved[point]))
 
 
-def _squares(one: CameraStart) -> tuple[Array, NDArray[np.intp]]:
+def _squares(one: CameraStart) -> Squares:
     """(images,) mean square [px^2] of distances, of wrong corners by four medians, and count."""
     corners, d = one.corners, np.hypot(*_without_print(one).T)
     square = np.minimum(d, WRONG * np.median(d)) ** 2
@@ -252,14 +247,14 @@ def _squares(one: CameraStart) -> tuple[Array, NDArray[np.intp]]:
     return sums / np.maximum(count, 1), count
 
 
-def _rms(one: CameraStart) -> float:
-    square, count = _squares(one)
+def _rms(squares: Squares) -> float:
+    square, count = squares
     return float(np.sqrt(square @ count / count.sum()))
 
 
-def _clearly_better(other: CameraStart, one: CameraStart) -> bool:
+def _clearly_better(other: Squares, one: Squares) -> bool:
     """Whether the lens of the first fits more likely, and in images by more than chance."""
-    (less, n), (more, m) = _squares(other), _squares(one)
+    (less, n), (more, m) = other, one
     gain = np.minimum(n, m) * (more - less) / max(_rms(other), FINEST) ** 2
     gain = gain[(n > 0) & (m > 0)]
     error = np.sqrt(len(gain)) * gain.std()
