@@ -130,9 +130,10 @@ class Coverage:
     level: Probability
     """Stated probability of each region."""
     share: Probability
-    """Share of the poses whose measured point lies in its region."""
+    """Share of the poses whose measured point lies in its region; of one pose that was repeated,
+    the share of its repeats."""
     poses: Count
-    """How many poses could be tested."""
+    """How many different poses could be tested."""
 
 
 @dataclass(frozen=True)

@@ -103,6 +103,9 @@ class DataEntry:
     """Ids of poses whose rows equal others, as rows of such coarse readings may by chance: used."""
     measured: Days | None = None
     """Days of the measurement, by a column of dates in the readings; null: there is none."""
+    averaged: tuple[str, ...] = ()
+    """Ids of repeats of an earlier pose: they share its error, so it counts once, with their
+    mean."""
 
     def warnings(self) -> tuple[str, ...]:
         """What the reader must know of the rows."""
@@ -116,6 +119,13 @@ class DataEntry:
             lines.append(
                 f"{rows} in every column (pose {_first(self.agreeing)}). Readings as coarse as "
                 "these may agree by chance, so every row counts."
+            )
+        if number := len(self.averaged):
+            rows = f"{number} rows repeat" if number > 1 else "1 row repeats"
+            lines.append(
+                f"{rows} the pose before (pose {_first(self.averaged)}). Repeats agree better than "
+                "independent errors would: each such pose counts once, with the mean of its "
+                "readings."
             )
         if number := len(self.discarded):
             poses = f"{number} poses do" if number > 1 else "1 pose does"
@@ -435,8 +445,10 @@ def _coverage(validation: ValidationEntry | None) -> list[str]:
     if validation is None or validation.coverage is None:
         return []
     held = validation.coverage
+    which = "poses" if held.poses == validation.poses else f"{held.poses} different poses"
     words = (
-        f"stated {percent(held.level)} regions hold {percent(held.share, 1)} of the poses not used"
+        f"stated {percent(held.level)} regions hold {percent(held.share, 1)} of the {which} not "
+        "used"
     )
     if validation.blocked is not None and validation.blocked.coverage is not None:
         words += f", {percent(validation.blocked.coverage.share, 1)} in regions not used"

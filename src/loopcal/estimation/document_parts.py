@@ -186,6 +186,7 @@ def data_entry(dataset: Dataset, used: int, quantities: Sequence[str]) -> DataEn
         source.copied,
         source.discarded,
         agreeing=source.agreeing,
+        averaged=source.averaged,
         measured=source.measured,
     )
 

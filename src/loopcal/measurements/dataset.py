@@ -41,6 +41,8 @@ class Dataset:
     source: Source = field(default_factory=Source)
     places: Mapping[str, float] = field(default_factory=dict)
     """Parameter -> roughly its value [SI], as images alone say where boards and cameras stand."""
+    counts: Mapping[str, Array] = field(default_factory=dict)
+    """Quantity -> (N,) of how many readings each one is the mean, for those that are means."""
 
     def __post_init__(self) -> None:
         empty = isinstance(self.readings, Mapping) and not any(map(np.size, self.readings.values()))
@@ -156,6 +158,7 @@ class Dataset:
             readings={q: v[index] for q, v in self.readings.items()},
             poses=tuple(self.poses[i] for i in index),
             sds={q: v[index] for q, v in self.sds.items()},
+            counts={q: v[index] for q, v in self.counts.items()},
             source=self.source.take(index),
         )
 
@@ -284,7 +287,9 @@ def _kept(values: Array) -> Array:
 def _check_shapes(data: Dataset) -> None:
     number = len(data)
     columns = [(f"{q!r}", v) for q, v in data.readings.items()]
-    for what, values in columns + [(f"the sd of {q!r}", v) for q, v in data.sds.items()]:
+    columns += [(f"the sd of {q!r}", v) for q, v in data.sds.items()]
+    columns += [(f"the count of {q!r}", v) for q, v in data.counts.items()]
+    for what, values in columns:
         if values.shape != (number,):
             raise InputError(
                 f"{what} has {values.size} values for {number} poses",

@@ -190,6 +190,17 @@ class ReadingUncertainty:
         """Whether it differs from pose to pose."""
         return self.sd.shape[1] > 1 or any(block.factor.ndim > 2 for block in self.blocks)
 
+    def of_means(self, counts: Array) -> ReadingUncertainty:
+        """The uncertainty of means of so many independent readings, (k, N)."""
+        roots = np.sqrt(counts)
+        blocks = tuple(
+            CovarianceBlock(
+                b.indices, b.factor / np.sqrt(counts[list(b.indices)].min(axis=0))[:, None, None]
+            )
+            for b in self.blocks
+        )
+        return ReadingUncertainty(self.sd / roots, blocks, self.sources)
+
     def of(self, chosen: NDArray[np.intp] | slice) -> ReadingUncertainty:
         """The uncertainty in some poses, by their positions."""
         if not self.by_pose:

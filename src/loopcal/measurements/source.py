@@ -30,6 +30,8 @@ class Source:
     """Ids of poses left out because their rows copy others."""
     agreeing: tuple[str, ...] = ()
     """Ids of poses whose rows equal others, as rows of such coarse readings may by chance."""
+    averaged: tuple[str, ...] = ()
+    """Ids of repeats of an earlier pose, which counts with their mean."""
     discarded: tuple[str, ...] = ()
     """Ids of poses left out because they do not fit the others."""
     judged: bool = False

@@ -42,7 +42,6 @@ from loopcal.estimation.solve.scratch import one_blas_thread, release_memory, re
 from loopcal.estimation.solve.solver import Progress as Iterated
 from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.execution.forked import helping, process_cores
-from loopcal.mechanisms.mechanism import PIXELS
 from loopcal.presentation.shown import by_sd, shortened, size, unit_shown
 from loopcal.statistics.case import Case, Entrant, entrants
 from loopcal.statistics.changes import CERTAIN, Changes, changes, unchanged
@@ -55,9 +54,11 @@ from loopcal.statistics.judged import (
     UNCERTAIN,
     Judged,
     begun,
+    closest,
     fitted,
     lean,
     refuse,
+    tells,
     without_fits,
 )
 from loopcal.statistics.noise_floor import excess, noise_floor
@@ -71,6 +72,7 @@ from loopcal.statistics.risks import (
     significantly_better,
 )
 from loopcal.statistics.run_drift import with_run_drift
+from loopcal.statistics.shared_repeats import Means
 from loopcal.statistics.station_scales import with_station_scales
 from loopcal.statistics.validation import (
     Failed,
@@ -136,14 +138,19 @@ def choose(
             words = f"{entrant.name}; nothing was compared: the file is at fault"
             return Choice(_chosen(case, whole, Chosen(entrant.name, (), words, ())), None)
     case = replace(case, trusted=True)
-    judged, run_changes = _searched(case, judged, [begun(e, None) for e in waiting], iterated)
+    means = Means.of(case, scheme)
+    if means is not None and (of_means := _shared(means, iterated)) is not None:
+        case, scheme, waiting = means.case, means.scheme, [*entrants(means.case)]
+        judged, run_changes = of_means
+    else:
+        judged, run_changes = _searched(case, judged, waiting, iterated)
     other = scheme if scheme and scheme.other is not None else None
 
     def compared(judged: Sequence[Judged], waiting: Sequence[Entrant]) -> _Compared:
-        kept = None if other else _of(scheme, run_changes)
+        kept = scheme.of(run_changes.kept) if scheme and not other else None
         return _compared(case, run_changes, judged, waiting, kept, executor, progress, iterated)
 
-    over = compared(judged, [one for one in waiting if not _tells(one)])
+    over = compared(judged, [one for one in waiting if not tells(one)])
     taken = over.taken
     if taken.entrant.structured and not run_changes.happened:
         # What is taken may show what the candidate that was searched does not.
@@ -237,24 +244,6 @@ def _chosen(case: Case, result: FitResult, chosen: Chosen) -> FitResult:
     )
 
 
-def _tells(one: Entrant) -> bool:
-    """Whether a candidate tells what happened during the run: a structured one, of images one that
-    counts neither joints nor poses as exact."""
-    images = any(f.form == PIXELS for f in one.case.mechanism.families)
-    return one.structured or (images and not one.cheap)
-
-
-def _closest(judged: Sequence[Judged]) -> Judged | None:
-    """The one that fits best of those that tell what happened during the run."""
-    able = [one for one in judged if one.whole and not one.failed and _tells(one.entrant)]
-
-    def misfit(one: Judged) -> float:
-        after = one.whole and one.whole.accuracy_after
-        return after.rms if after else math.inf
-
-    return min(able, key=misfit, default=None)
-
-
 def _searched(
     case: Case, judged: Sequence[Judged], waiting: Sequence[Entrant], iterated: Iterated | None
 ) -> tuple[list[Judged], Changes]:
@@ -263,7 +252,7 @@ def _searched(
 
     Where something happened, the other fits are in vain and left.
     """
-    telling = [one for one in waiting if _tells(one)]
+    telling = [begun(one, None) for one in waiting if tells(one)]
     first = next((one for one in telling if one.case.fit.method.exact), None)
     order = sorted(telling, key=lambda one: one is not first)
 
@@ -282,9 +271,16 @@ def _searched(
                     break
     judged = [*judged, *(done[one.name] for one in telling if one.name in done)]
     if run_changes is None:
-        best = _closest(judged)
+        best = closest(judged)
         run_changes = _changes(case, best) if best else None
     return judged, run_changes or unchanged(case)
+
+
+def _shared(means: Means, iterated: Iterated | None) -> tuple[list[Judged], Changes] | None:
+    """As `_searched`, of repeats as one reading; None unless they share an error."""
+    made = _searched(means.case, [], [*entrants(means.case)], iterated)
+    best = closest(made[0])
+    return made if best and best.whole and means.shared(best.whole) else None
 
 
 def _changes(case: Case, by: Judged, level: float = CERTAIN) -> Changes | None:
@@ -294,13 +290,6 @@ def _changes(case: Case, by: Judged, level: float = CERTAIN) -> Changes | None:
     run_changes = replace(changes(case, by.entrant.case.fit, by.whole, level), by=by.name)
     release_memory()
     return run_changes
-
-
-def _of(scheme: Scheme | None, run_changes: Changes) -> Scheme | None:
-    """The scheme for the poses that are left."""
-    if scheme is None or scheme.groups is None:
-        return scheme
-    return replace(scheme, groups=[scheme.groups[i] for i in run_changes.kept])
 
 
 def _all_fitted(

@@ -14,7 +14,7 @@ cosine and sine of angles, and on lengths over the largest range of any.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypedDict
 
 import numpy as np
@@ -69,6 +69,12 @@ class Scheme:
     seed: int = 0
     groups: Sequence[object] | None = None
     place_anew: bool = False
+
+    def of(self, kept: Index) -> Scheme:
+        """The scheme of the poses at these positions."""
+        if self.groups is None:
+            return self
+        return replace(self, groups=[self.groups[i] for i in kept])
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.solver import Progress as Iterated
 from loopcal.estimation.steps import Near
 from loopcal.measurements.noise import MODEL
-from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 from loopcal.mechanisms.structure.smooth import DISCREPANCY
 from loopcal.mechanisms.structure.structured import GEOMETRY_TERMS
 from loopcal.statistics.case import Begin, Case, Entrant, without_terms
@@ -186,3 +186,21 @@ def _begun_with(mechanism: Mechanism, whole: FitResult) -> Mechanism:
     learnt = dict(zip(whole.problem.names, whole.problem.prior_sd.tolist(), strict=True))
     learnt = {name: sd for name, sd in learnt.items() if name in parameters.names}
     return mechanism.with_parameters(parameters.with_prior(learnt))
+
+
+def tells(one: Entrant) -> bool:
+    """Whether a candidate tells what happened during the run: a structured one, of images one that
+    counts neither joints nor poses as exact."""
+    images = any(f.form == PIXELS for f in one.case.mechanism.families)
+    return one.structured or (images and not one.cheap)
+
+
+def closest(judged: Sequence[Judged]) -> Judged | None:
+    """The one that fits best of those that tell what happened during the run."""
+    able = [one for one in judged if one.whole and not one.failed and tells(one.entrant)]
+
+    def misfit(one: Judged) -> float:
+        after = one.whole and one.whole.accuracy_after
+        return after.rms if after else math.inf
+
+    return min(able, key=misfit, default=None)

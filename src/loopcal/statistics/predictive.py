@@ -40,7 +40,7 @@ from loopcal.estimation.fit import used_noise, weighed
 from loopcal.estimation.noise.estimation import scaled
 from loopcal.estimation.noise.learning import typical_sd, with_model
 from loopcal.estimation.noise.linear_model import LinearModel, ModelBlock, linear_model
-from loopcal.estimation.problem.constants import with_latest
+from loopcal.estimation.problem.constants import standing, standing_exact, with_latest
 from loopcal.estimation.problem.pose_equations import pose_equations
 from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.estimation.problem.starting import start_corrections
@@ -93,8 +93,11 @@ def held_problem(
         mechanism, data = with_model(mechanism, data, noise)
     # Nothing is estimated here: with informative priors any number of poses will do.
     machine = mechanism.with_parameters(mechanism.parameters.with_prior({"*": 1.0}))
-    problem = build_problem(machine, data, noise, fit.value)
-    problem = replace(problem, prior_sd=fit.problem.prior_sd)
+    problem = build_problem(machine, data, noise, fit.value, whole=False)
+    # A joint that moved in the fit has errors also where it stands still in these poses.
+    readings = np.hstack([fit.problem.readings, problem.readings])
+    uncertainty = standing_exact(machine, readings, problem.uncertainty)
+    problem = replace(problem, prior_sd=fit.problem.prior_sd, uncertainty=uncertainty)
     if noise is not None and noise.estimate:
         each = range(len(problem.readings))
         problem = scaled(problem, [(i,) for i in each], _ratios(fit.problem, problem))
@@ -121,9 +124,13 @@ def unmeasured_corrections(problem: Problem, parameters: Array) -> Array:
 
 
 def _ratios(learnt: Problem, stated: Problem) -> Array:
-    """(k,) by how much larger variances are learnt than stated, where poses have the reading."""
+    """(k,) by how much larger variances are learnt than stated, where poses have the reading.
+
+    Of a joint that stood still in the fit nothing was learnt.
+    """
     ratios = np.ones(len(stated.readings))
-    for i in range(len(ratios)):
+    still = standing(learnt.mechanism, learnt.readings)
+    for i in np.setdiff1d(np.arange(len(ratios)), still):
         before, after = typical_sd(stated, i), typical_sd(learnt, i)
         if before and after is not None:
             ratios[i] = (after / before) ** 2

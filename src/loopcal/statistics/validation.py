@@ -83,7 +83,8 @@ class Validation:
     inside: (N,) 1 where the measured point lies in its stated region of probability `LEVEL`, else
     0, NaN where a pose has none, None where the method states none; places: of the boards that
     cameras see; blocked: the same for regions of the joint space left out one by one, None where
-    that was not asked for; images: the same for regions of the image.
+    that was not asked for; images: the same for regions of the image; groups: (N,) of poses that
+    were never split, such as repeats of one pose.
     """
 
     __repr__ = brief
@@ -101,6 +102,7 @@ class Validation:
     places: tuple[BoardPlace, ...] = ()
     blocked: Validation | None = None
     images: Validation | None = None
+    groups: Index | None = None
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -109,10 +111,16 @@ class Validation:
 
     @property
     def coverage(self) -> Coverage | None:
-        """How often the stated regions hold; None where the method states none."""
+        """How often the stated regions hold; None where the method states none.
+
+        Poses of one group share the error of the fit that predicted them: together they are one.
+        """
         if self.inside is None or not (judged := np.isfinite(self.inside)).any():
             return None
-        return Coverage(LEVEL, float(self.inside[judged].mean()), int(judged.sum()))
+        groups = np.arange(len(judged)) if self.groups is None else self.groups
+        _, of = np.unique(groups[judged], return_inverse=True)
+        shares = np.bincount(of, self.inside[judged]) / np.bincount(of)
+        return Coverage(LEVEL, float(shares.mean()), len(shares))
 
     @property
     def entry(self) -> ValidationEntry:
@@ -232,14 +240,15 @@ def pooled(
     """
     count = len(plan.random.indices)
     predictives = _all_stated(whole, made) if stating else None
+    groups = None if plan.anew else plan.groups
     validation = _pooled(
-        whole, made[:count], plan.random, data, predictives and predictives[:count]
+        whole, made[:count], plan.random, data, predictives and predictives[:count], groups
     )
     if plan.blocked is None:
         return validation
     try:
         blocked = _pooled(
-            whole, made[count:], plan.blocked, data, predictives and predictives[count:]
+            whole, made[count:], plan.blocked, data, predictives and predictives[count:], groups
         )
         return replace(validation, blocked=blocked)
     except NoTrustworthyResult:
@@ -470,8 +479,10 @@ def _pooled(
     parts_left: Parts,
     data: Dataset,
     predictives: Sequence[Predictive | None] | None,
+    groups: Index | None = None,
 ) -> Validation:
-    """The parts together; predictives: what was stated of each, None where it was not asked for."""
+    """The parts together; predictives: what was stated of each, None where it was not asked for;
+    groups: (N,) of all poses, whose poses count as one."""
     mechanism, words = whole.mechanism, parts_left.words
     failed = tuple(
         FailedPart(number, len(part.index), part.reason)
@@ -519,6 +530,7 @@ def _pooled(
         failed,
         inside[predicted] if judged else None,
         _places(whole, data, differences) if predictives is not None else (),
+        groups=None if groups is None else groups[predicted],
     )
 
 

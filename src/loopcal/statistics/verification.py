@@ -44,6 +44,7 @@ from loopcal.statistics.innovation import Linearised
 from loopcal.statistics.joint_errors import JointErrors
 from loopcal.statistics.later_corners import fitting_corners
 from loopcal.statistics.other_conditions import unlike
+from loopcal.statistics.shared_repeats import day_as_means
 from loopcal.statistics.verdict import Quantile
 from loopcal.statistics.verified import Placed, Verification, WorstPose
 
@@ -101,8 +102,15 @@ def verified(
         kept = np.delete(np.arange(len(data)), copied)
         data, stated = data.without_copies(copied), stated and stated.take(kept)
     with one_blas_thread():
+        repeated = _repeated(calibrated, data)
+        data, stated = day_as_means(calibrated, data, stated, remounted)
         day = Day.of(calibrated, data, stated, remounted)
-        made = _verified(day, tolerance, len(copied), _repeated(calibrated, data))
+        made = _verified(day, tolerance, len(copied), repeated)
+        if not made.shifts.found:
+            means, noise = day_as_means(calibrated, data, stated, remounted, apart=True)
+            if len(means) < len(data):
+                day = Day.of(calibrated, means, noise, remounted)
+                made = _verified(day, tolerance, len(copied), repeated)
     return replace(made, read_as=data.source.read_as)
 
 

@@ -66,6 +66,7 @@ from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.gauge import values_of
 from loopcal.statistics.later_corners import fitting_corners
 from loopcal.statistics.replacing import Replaced, freed
+from loopcal.statistics.shared_repeats import day_as_means
 from loopcal.statistics.station_scales import by_same_stations
 from loopcal.statistics.verified import Verification
 
@@ -146,6 +147,7 @@ def updated(
         one.stationed if since.moved else one for one in (calibrated, calibrated.loadable)
     )
     data = fitting_corners(calibrated, data, stated, since.remounted)
+    data, stated = day_as_means(calibrated, data, stated, since.remounted)
     allowance = allowed(calibrated, data, since, stated)
     if (gone := np.flatnonzero(np.isin(data.poses, allowance.check.outliers))).size:
         kept = np.setdiff1d(np.arange(len(data)), gone)

@@ -58,6 +58,10 @@ _FAR = 100.0
 # Chosen, not derived: an early linearisation may call a variance zero that is not.
 _ROUGHLY, _SLOWLY = 0.1, 100.0
 """Variance ratios that change less than this are roughly right; early ones fall no faster."""
+# Chosen, not derived: no instrument is ten thousand times better than its data sheet.
+_LEAST = 1e-8
+"""No variance that stays above zero falls below this share of the stated one. Of a coordinate that
+reads the same in all poses the likelihood has no other bound."""
 NEAR, NEARBY, ROUGH = 1e-3, 1e-1, 1e-2
 """With terms, logarithms of variances still change by so much in the last round, far less than
 their uncertainty, the second where the search begins at those of nearly the same readings or has
@@ -350,6 +354,8 @@ class _Search:
             # A sensor whose sd is known in part never vanishes.
             lowest = np.where(vanish & np.isinf(self.spreads), 0.0, ratios / _SLOWLY)
             variances = self._variances(present, solution, ratios, lowest, prints)
+            rest = np.where(variances.ratios > 0.0, np.maximum(variances.ratios, _LEAST), 0.0)
+            variances = replace(variances, ratios=rest)
             change = _change(ratios, variances.ratios)
             falling = np.zeros(len(ratios), dtype=bool) if vanish else variances.ratios <= lowest
             others = _change(ratios[~falling], variances.ratios[~falling])
@@ -385,7 +391,7 @@ class _Search:
             step = np.concatenate([_rise(ratios, variances.ratios), 2.0 * np.log(learnt / scales)])
             turns.append((np.log(began), step))
             part, last = np.exp(_mixed(turns) - step), change
-            ratios = variances.ratios * part[: len(ratios)]
+            ratios = np.maximum(variances.ratios * part[: len(ratios)], np.minimum(rest, _LEAST))
             scales = learnt * np.sqrt(part[len(ratios) :])
         return _Round(present, solution, variances, False, iterations, prints)
 

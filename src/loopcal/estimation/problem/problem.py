@@ -195,6 +195,10 @@ def build_problem(
     if noise is None:
         noise, dataset = _exact(mechanism, dataset), replace(dataset, sds={})
     uncertainty = resolve_noise(noise, dataset, quantities, mechanism.quantity_group)
+    if dataset.counts:
+        single = np.ones(len(dataset))
+        counts = np.array([dataset.counts.get(q, single) for q in quantities])
+        uncertainty = uncertainty.of_means(counts)
     missing = np.full(len(dataset), np.nan)
     raw = np.array([dataset.readings.get(q, missing) for q in quantities])
     if whole:  # a chunk may stand still where the others move

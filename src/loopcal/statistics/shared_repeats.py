@@ -1,0 +1,178 @@
+"""Repeats of a pose that share its error: they count as one reading, their mean.
+
+A machine that returns to a pose repeats most of its error there: that of a joint's reading, of its
+gears, and of what the model lacks. Repeats then scatter by the instrument alone, and many of them
+say no more of the machine than one. Whether they do is asked as lack of fit is (Fisher 1922; Draper
+and Smith 1998, chapter 2). A fit of the means of the poses g, n_g repeats each, whitens their
+equations, r of each pose, by X. Did each repeat err for itself, the variance of one would be n_g
+times that of the mean, and of its deviation d_gi [SI] from the mean readings
+
+    S = sum_gi |X_g d_gi|^2 / n_g,   f = r sum_g (n_g - 1),
+
+S / f would be F-distributed with f and the degrees of freedom that the fit has left; shared errors
+make it less. On another day the calibration states the sds of one reading, X whitens by them, and S
+without n_g would be chi-squared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from loopcal.arrays import Array
+from loopcal.chi_squared import tail
+from loopcal.estimation.problem.pose_equations import PoseEquations, pose_equations
+from loopcal.estimation.result import FitResult
+from loopcal.measurements.averaged import averaged
+from loopcal.measurements.dataset import Dataset
+from loopcal.measurements.noise import Noise
+from loopcal.mechanisms.mechanism import PIXELS, Mechanism
+from loopcal.statistics.another_day import Day
+from loopcal.statistics.calibrated import Calibrated
+from loopcal.statistics.case import Case, taken
+from loopcal.statistics.folds import Index, Scheme, grouped, repeated, stated_sds
+
+# Chosen, not derived: of a thousand sets whose repeats err for themselves, one is averaged.
+LEVEL = 1e-3
+"""Repeats share an error where chance explains how well they agree with less probability."""
+# Chosen, not derived: an angle that jumps by a turn, or a sign that changes, has no mean.
+_FAR = 0.1
+"""Repeats of a reading lie within this share of its span."""
+
+
+def following(
+    mechanism: Mechanism, data: Dataset, noise: Noise | None, within: Index | None = None
+) -> Index:
+    """A number for each pose (N,), equal for repeats that follow each other.
+
+    Repeats apart in time show what happened in between. within: of poses that are not to be joined,
+    such as those of two sessions.
+    """
+    groups = repeated(mechanism, data, stated_sds(noise, mechanism, data))
+    anew = np.ones(len(groups), dtype=bool)
+    anew[1:] = groups[1:] != groups[:-1]
+    if within is not None:
+        anew[1:] |= within[1:] != within[:-1]
+    times = {q for q, si in mechanism.pose_constants.items() if si == "s" or q in mechanism.latest}
+    for q in ({*_read(mechanism), *mechanism.pose_constants} - times) & {*data.readings}:
+        values = data.readings[q]
+        gaps = np.isnan(values)
+        near = _FAR * float(np.ptp(values[~gaps])) if not gaps.all() else 0.0
+        anew[1:] |= (np.abs(np.diff(values)) > near) | (gaps[1:] != gaps[:-1])
+    return np.cumsum(anew) - 1
+
+
+def _read(mechanism: Mechanism) -> set[str]:
+    """What instruments read that have means; none of images, nor of what has orientations."""
+    families = mechanism.families
+    if mechanism.orientations or any(family.form == PIXELS for family in families):
+        return set()
+    return {*mechanism.outputs, *(q for family in families for q in family.readings)}
+
+
+@dataclass(frozen=True, eq=False)
+class Means:
+    """A case and its scheme with repeats that follow each other as one reading.
+
+    groups: (N,) the pose of each row; deviations: (k, N) [SI] of its readings from those means.
+    """
+
+    case: Case
+    scheme: Scheme | None
+    groups: Index
+    deviations: Array
+
+    @classmethod
+    def of(cls, case: Case, scheme: Scheme | None) -> Means | None:
+        """None of a case without repeats that follow each other, or whose rows copy others."""
+        read, stated = _read(case.mechanism), None if scheme is None else scheme.groups
+        if not read or case.copied.size:
+            return None
+        within = None if stated is None else grouped(case.mechanism, case.data, stated)
+        groups = following(case.mechanism, case.data, case.noise, within)
+        if groups[-1] + 1 == len(groups):
+            return None
+        first = _first(groups)
+        means = averaged(case.data, groups, read)
+        made = replace(case, data=means, noise=taken(case.noise, first))
+        away = _deviations(case.mechanism, case.data, means, groups)
+        return cls(made, None if scheme is None else scheme.of(first), groups, away)
+
+    def shared(self, whole: FitResult) -> bool:
+        """Whether repeats share an error, by the fit of the means."""
+        from scipy.special import fdtr
+
+        if whole.problem.count != len(self.case.data):
+            return False
+        equations, root = whole.pose_equations(), whole.solution.spectrum.root
+        number = np.bincount(self.groups).astype(float)
+        square = _square(equations, self.deviations, self.groups, number)
+        rows = np.zeros(len(number))
+        for block in equations:
+            rows[block.poses] = block.E.shape[1]
+        freedom = float(rows @ (number - 1.0))
+        left = sum(block.E.size - float(np.square(block.D @ root).sum()) for block in equations)
+        return left >= 1.0 and bool(fdtr(freedom, left, square / freedom) < LEVEL)
+
+
+def _first(groups: Index) -> Index:
+    """Positions of the first row of each pose."""
+    return np.unique(groups, return_index=True)[1]
+
+
+def _deviations(mechanism: Mechanism, data: Dataset, means: Dataset, groups: Index) -> Array:
+    """(k, N) [SI] of readings from the means of their poses; 0 where there is none."""
+    made = np.zeros((len(mechanism.tape.quantities), len(data)))
+    for i, q in enumerate(mechanism.tape.quantities):
+        if q in data.readings:
+            made[i] = np.nan_to_num(data.readings[q] - means.readings[q][groups])
+    return made
+
+
+def _square(
+    equations: Sequence[PoseEquations], deviations: Array, groups: Index, number: Array
+) -> float:
+    """The sum of |X d|^2 / number over the rows of the poses of these equations."""
+    square = 0.0
+    for block in equations:
+        position = np.full(len(number), -1)
+        position[block.poses] = np.arange(len(block.poses))
+        rows = np.flatnonzero(position[groups] >= 0)
+        moved = np.einsum("brk,kb->br", block.X[position[groups[rows]]], deviations[:, rows])
+        square += float((np.square(moved).sum(axis=1) / number[groups[rows]]).sum())
+    return square
+
+
+def day_as_means(
+    calibrated: Calibrated,
+    data: Dataset,
+    noise: Noise | None,
+    remounted: bool | Sequence[str] = False,
+    *,
+    apart: bool = False,
+) -> tuple[Dataset, Noise | None]:
+    """Readings of another day and their noise, with repeats that share an error as one reading.
+
+    apart: also those that do not follow each other, of a day on which nothing moved.
+    """
+    mechanism = calibrated.mechanism
+    read, groups = _read(mechanism), np.arange(len(data))
+    if read and apart:
+        groups = repeated(mechanism, data, stated_sds(noise, mechanism, data))
+    elif read:
+        groups = following(mechanism, data, noise)
+    if len(np.unique(groups)) == len(groups):
+        return data, noise
+    means = averaged(data, groups, read)
+    placed = Day.of(calibrated, data, noise, remounted).placed()
+    equations = pose_equations(placed.problem, placed.parameters, placed.corrections)
+    rows = np.concatenate([np.repeat(block.poses, block.E.shape[1]) for block in equations])
+    freedom = len(rows) - len(rows) * len(means) // len(data)
+    away = _deviations(placed.problem.mechanism, data, means, groups)
+    each = np.arange(len(data))
+    square = _square(equations, away, each, np.ones(len(data))) / calibrated.factor
+    if tail(square, freedom) <= 1.0 - LEVEL:
+        return data, noise
+    return means, taken(noise, _first(groups))

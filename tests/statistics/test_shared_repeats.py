@@ -1,0 +1,96 @@
+"""Repeats of a pose that share its error count as one reading; those that do not, each for itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import loopcal as lc
+from loopcal.measurements.averaged import averaged
+from tests.reference.simulated import arm_at, planar_arm
+
+JOINTS, POINT = 1e-3, 1e-4
+"""Sds of the joints [rad] and of what the instrument reads [m]."""
+POSES, TIMES = 14, 3
+
+
+ARM = planar_arm(POSES)
+NOISE = lc.Noise({"phi?": JOINTS, "?P": POINT}, estimate={"phi?": "group", "?P": "group"})
+
+
+def repeats(seed: int, *, shared: bool) -> lc.Dataset:
+    """Every pose read three times in a row; shared: by the same error of its joints."""
+    rng = np.random.default_rng(seed)
+    read = np.repeat(np.array([ARM.exact["phi2"], ARM.exact["phi3"]]), TIMES, axis=1)
+    errors = rng.normal(0.0, JOINTS, (2, POSES if shared else POSES * TIMES))
+    there = read + np.repeat(errors, TIMES if shared else 1, axis=1)
+    points = arm_at(ARM.truth, there).read({"xP": POINT, "yP": POINT}, seed=seed)
+    joints = dict(zip(("phi2", "phi3"), read, strict=True))
+    return points.with_readings(joints)
+
+
+def square(result: lc.Result) -> float:
+    """The squared error of the machine over its stated covariance, for each parameter."""
+    names = [n for n in result.estimated if n in ARM.values]
+    at = [result.estimated.index(n) for n in names]
+    error = np.array([result.value[n] - ARM.values[n] for n in names])
+    covariance = np.asarray(result.learnt_covariance.matrix)[np.ix_(at, at)]
+    return float(error @ np.linalg.solve(covariance, error)) / len(names)
+
+
+def test_repeats_that_share_an_error_count_as_one_reading() -> None:
+    squares = []
+    for seed in range(10):
+        result = lc.calibrate(ARM.truth, repeats(seed, shared=True), noise=NOISE, method="auto")
+        assert len(result.document.data.averaged) == POSES * (TIMES - 1)
+        assert len(result.poses) == POSES
+        squares.append(square(result))
+    # 4.3 where each repeat counts for itself; the mean of ten has an sd of about 0.2
+    assert np.mean(squares) < 1.6
+    warned = [w for w in result.document.data.warnings() if "repeat the pose before" in w]
+    assert len(warned) == 1
+
+
+def test_repeats_that_err_for_themselves_count_each() -> None:
+    squares = []
+    for seed in range(6):
+        result = lc.calibrate(ARM.truth, repeats(seed, shared=False), noise=NOISE, method="auto")
+        assert not result.document.data.averaged
+        squares.append(square(result))
+    assert 0.3 < np.mean(squares) < 2.0
+
+
+@pytest.mark.parametrize("apart", [False, True])
+def test_a_day_of_repeats_is_judged_as_one_reading_of_each_pose(apart: bool) -> None:
+    first = lc.simulate(
+        ARM.truth,
+        lc.random_poses({"phi2": (-3.0, 3.0), "phi3": (-3.0, 3.0)}, 60, seed=5),
+        noise=lc.Noise({"phi?": JOINTS, "?P": POINT}),
+        seed=6,
+    ).dataset
+    calibrated = lc.calibrate(ARM.truth, first, noise=NOISE, method="auto")
+    order = np.arange(POSES * TIMES)
+    if apart:  # all poses, then all again
+        order = order.reshape(POSES, TIMES).T.ravel()
+    consistent = []
+    for seed in range(10, 18):
+        day = repeats(seed, shared=True).take(order)
+        check = lc.verify(calibrated, day)
+        assert len(check.poses) == POSES
+        consistent.append(check.changes is None or check.changes.verdict == "unchanged")
+    assert sum(consistent) >= 7
+
+
+def test_means_keep_what_repeats_share_and_count_what_they_do_not() -> None:
+    data = lc.Dataset.from_arrays(
+        {"q": [0.1, 0.1, 0.1, 0.2], "x": [1.0, 2.0, np.nan, 5.0]}, sds={"x": [1.0, 1.0, 1.0, 2.0]}
+    )
+    means = averaged(data, np.array([0, 0, 0, 1]), {"x"})
+    assert means.poses == ("1", "4")
+    assert means["q"].tolist() == [0.1, 0.2]
+    assert means["x"].tolist() == [1.5, 5.0]
+    assert means.counts["x"].tolist() == [2.0, 1.0]
+    assert means.sds["x"].tolist() == [1.0, 2.0]
+    again = averaged(means, np.array([0, 0]), {"x"})
+    assert again["x"].tolist() == [pytest.approx(8.0 / 3.0)]
+    assert again.take([0]).counts["x"].tolist() == [3.0]
