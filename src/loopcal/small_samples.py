@@ -92,7 +92,7 @@ class LearntCovariance:
         slopes[-1:] = 0.0
         return LearntCovariance(self.matrix - part, self.plain, slopes)
 
-    def widened(self, part: Array, spread: float) -> LearntCovariance:
+    def widened(self, part: Array, spread: float = 0.0) -> LearntCovariance:
         """With this part besides, whose size has that relative sd along the last of `slopes`."""
         slopes = self.slopes.copy()
         slopes[-1:] += spread * part

@@ -35,6 +35,7 @@ from loopcal.document.findings import (
     ConflictEntry,
     DelayEntry,
     HalvesEntry,
+    LensErrorEntry,
     OtherOptimum,
     Outlier,
     ScaleEntry,
@@ -158,6 +159,17 @@ def test_a_focal_length_that_images_hardly_show_leaves_the_result_open() -> None
 
     assert "focal-length-unsure" not in found(69.0)
     assert "eye_f is 1400 px ± 71 px" in found(71.0)["focal-length-unsure"].words
+
+
+def test_a_smooth_error_that_the_images_show_is_named_and_stays_sound() -> None:
+    def found(gain: float) -> ResultDocument:
+        return replace(clean(), lens_errors=(LensErrorEntry("eye", 0.3, gain),))
+
+    assert "lens-leaves-error" not in [one.code for one in findings_of(found(9.0))]
+    named = {one.code: one for one in findings_of(found(11.0))}["lens-leaves-error"]
+    assert "0.30 px" in named.words
+    assert "eye" in named.words
+    assert verdict_of(found(11.0)).sound.passed
 
 
 def test_halves_of_the_images_may_differ_by_three_sds_in_the_focal_length() -> None:

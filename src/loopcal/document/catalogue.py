@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from functools import partial
 
 from loopcal.document.another_day import ANOTHER_DAY, TWO_MACHINES
-from loopcal.document.of_images import IN_IMAGES, OF_IMAGES
+from loopcal.document.of_images import IN_IMAGES, LENS_LEAVES, OF_IMAGES
 from loopcal.document.verdict import SEVERITIES, Fact, Finding, Named, Row
 
 _AGAIN, _CHECK = "loopcal calibrate {project}", "loopcal check {project}"
@@ -345,6 +345,7 @@ _ROWS = (
         _PLAN,
     ),
     _sound("sound", "The fit converged; sensors, poses and machine model are consistent."),
+    LENS_LEAVES,
     _sound("model-learnt", "The model has learnt: {effects}."),
     _sound(
         "scale-little-off",

@@ -258,6 +258,17 @@ class HalvesEntry:
 
 
 @dataclass(frozen=True)
+class LensErrorEntry:
+    """What the lens of a camera leaves over its image, alike in all images."""
+
+    camera: str
+    rms: Size
+    """Of u or v [px], where corners were read."""
+    gain: float
+    """By how much it lowers -2 log of the restricted likelihood."""
+
+
+@dataclass(frozen=True)
 class RegionRange:
     """Range of a reading in the working region [SI]."""
 

@@ -48,6 +48,15 @@ OF_IMAGES = (
         _REPORT,
     ),
 )
+LENS_LEAVES = Row(
+    "sound",
+    "info",
+    "lens-leaves-error",
+    "The lens model leaves a smooth error of {rms:2} (rms) over the image of {camera}, alike in "
+    "all images: -2 log likelihood is lower by {gain:3} with it. The stated sds allow for it.",
+    detail="To know focal length and principal point better, remove a cover before the lens or "
+    "state another lens model.",
+)
 IN_IMAGES = (
     Row(
         "valid",

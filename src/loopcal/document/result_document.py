@@ -18,6 +18,7 @@ from loopcal.document.findings import (
     HalvesEntry,
     Identifiability,
     JointErrorEntry,
+    LensErrorEntry,
     Observability,
     OtherOptimum,
     Outlier,
@@ -211,6 +212,8 @@ class ResultDocument:
     halves: tuple[HalvesEntry, ...] = ()
     """The lenses by two halves of the images, fitted apart; empty: no lens was estimated, or a half
     could not be fitted."""
+    lens_errors: tuple[LensErrorEntry, ...] = ()
+    """What lenses leave, whose size covariance and sds contain; empty: no lens was estimated."""
     loss: str = "gaussian"
     status: StatusEntry
     parameters: tuple[ParameterEntry, ...]

@@ -43,6 +43,7 @@ def fit_document(result: FitResult) -> ResultDocument:
         mechanism=replace(entry, unstated=tuple(dict.fromkeys(unstated))),
         method=result.method,
         method_label=result.fit.label,
+        lens_errors=() if result.lens_errors is None else result.lens_errors.entries,
         loss=result.loss,
         status=StatusEntry(status.converged, status.reason, status.message, status.iterations),
         parameters=tuple(

@@ -42,11 +42,12 @@ from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.solve.solution import Solution, Status
 from loopcal.lazy import cached_property, keep
 from loopcal.measurements.dataset import Dataset
-from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 from loopcal.small_samples import LearntCovariance
 
 if TYPE_CHECKING:
     from loopcal.estimation.dependence.image_errors import ImageErrors
+    from loopcal.estimation.dependence.lens_errors import LensErrors
     from loopcal.estimation.noise.estimation import NoiseEstimate
     from loopcal.estimation.noise.kenward_roger import LearntParameters
 
@@ -138,13 +139,19 @@ class FitResult:
 
     @cached_property
     def learnt_covariance(self) -> LearntCovariance:
-        """Of the estimated parameters, and how sure it is itself. Sds that were learnt are not
-        known, and those of least squares come from its residuals. It allows for serial dependence
-        where there is any."""
+        """Of the estimated parameters, and how sure it is itself: sds that were learnt are not
+        known. It allows for serial dependence where there is any, and for what lenses leave."""
         covariance = self._independent
         if self._depending is not None and self._depending.covariance is not None:
             covariance = LearntCovariance.certain(self._depending.covariance)
+        if self.lens_errors is not None:
+            covariance = covariance.widened(self.lens_errors.covariance)
         return covariance if self.inherited is None else self.inherited.added_to(covariance)
+
+    @property
+    def _whole(self) -> bool:
+        """Whether it converged, is of no stream and under no loss."""
+        return self.all_poses is None and self.fit.robust_loss is None and self.status.converged
 
     @property
     def drifting(self) -> Drifting | None:
@@ -170,8 +177,7 @@ class FitResult:
             return None
         factor = self._variance_factor if self.variance_factor_applied else None
         smooth = self.learnt.alike.smooth
-        scaled = tuple((factor or 1.0) * v for v in smooth.variances)
-        return replace(smooth, variances=scaled)
+        return replace(smooth, variances=tuple((factor or 1.0) * v for v in smooth.variances))
 
     def covariance_through(self, S: Array, drifting: Drifting | None) -> LearntCovariance:
         """Of S (N, m, n) times the estimated parameters, under a known drift, or without any, for
@@ -183,8 +189,9 @@ class FitResult:
             covariance = LearntCovariance.certain(under_drift).through(S)
         else:
             learnt = None if self.variance_factor_applied else self.learnt
-            learnt = learnt and replace(learnt, alike=None)
-            covariance = (learnt or self._independent).through(S)
+            covariance = ((learnt and replace(learnt, alike=None)) or self._independent).through(S)
+        if self.lens_errors is not None:
+            covariance = covariance.widened(self.lens_errors.through(S))
         return covariance if self.inherited is None else self.inherited.added_to(covariance, S)
 
     @property
@@ -202,10 +209,9 @@ class FitResult:
         if loss is not None:
             sums = self.robust_sums if self.all_poses is None else self.all_poses.robust
             return LearntCovariance.certain(sums.covariance(self.spectrum, self.problem.prior_sd))
+        if (images := self.image_errors) is not None:
+            return LearntCovariance.scaled(images.covariance, images.freedom)
         if method.exact:
-            images = self.image_errors
-            if images is not None:
-                return LearntCovariance.scaled(images.covariance, images.freedom)
             return self._by_residuals()
         factor = self._variance_factor if self.variance_factor_applied else None
         if self.learnt is not None:
@@ -218,12 +224,21 @@ class FitResult:
     @cached_property
     def image_errors(self) -> ImageErrors | None:
         """What least squares leaves in images beside the poses of a robot; None elsewhere."""
-        exact = self.fit.solver.exact and self.fit.robust_loss is None
-        if not exact or self.all_poses is not None or not self.status.converged:
+        if not self.fit.solver.exact or not self._whole:
             return None
         from loopcal.estimation.dependence.image_errors import image_errors  # where it is used
 
         return image_errors(self.problem, self.solution, self.pose_equations())
+
+    @cached_property
+    def lens_errors(self) -> LensErrors | None:
+        """What no lens model describes; None without cameras, and beside `image_errors`."""
+        cameras = self._whole and any(f.form == PIXELS for f in self.mechanism.families)
+        if not cameras or self.image_errors is not None:
+            return None
+        from loopcal.estimation.dependence.lens_errors import lens_errors  # of cameras alone
+
+        return lens_errors(self.problem, self.solution)
 
     def _by_residuals(self) -> LearntCovariance:
         """Scaled by the mean square of the residuals."""
@@ -268,8 +283,7 @@ class FitResult:
 
     @cached_property
     def _depending(self) -> Depending | None:
-        tested = self.all_poses is None and self.fit.robust_loss is None
-        if not tested or not self.status.converged or self.taken_as_independent:
+        if not self._whole or self.taken_as_independent:
             return None
         with one_blas_thread():
             return dependence(self.problem, self.solution, self.pose_equations())

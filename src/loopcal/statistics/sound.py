@@ -375,6 +375,16 @@ def _focal(document: ResultDocument) -> Fact | None:
     return fact("focal-length-unsure", Where(parameters=(worst.name,)), numbers)
 
 
+def _lens_errors(document: ResultDocument) -> Fact | None:
+    """The largest smooth error that images show beside a lens."""
+    shown = [one for one in document.lens_errors if one.gain >= DECISIVE and one.rms > 0.0]
+    worst = max(shown, key=lambda one: one.rms, default=None)
+    if worst is None:
+        return None
+    numbers: dict[str, Figure | float] = {"rms": Figure(worst.rms, "px"), "gain": worst.gain}
+    return fact("lens-leaves-error", numbers=numbers, camera=worst.camera)
+
+
 def _undetermined(document: ResultDocument) -> Fact | None:
     loose = tuple(sorted(document.identifiability.loose))
     if not loose:
@@ -427,6 +437,7 @@ SOUND: tuple[Callable[[ResultDocument], Fact | None], ...] = (
     _optima,
     _undetermined,
     _no_test,
+    _lens_errors,
     _effects_learnt,
     errors_beyond_sds,
 )

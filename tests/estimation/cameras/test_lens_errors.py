@@ -1,0 +1,196 @@
+"""Lenses that no model describes: the stated sds hold the best lens, and stay where there is none.
+
+The true lens is a brown5 and a field of waves over the image. The best lens is that which fits both
+over a grid of the whole image.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import loopcal as lc
+from loopcal.estimation.calibrate import calibrate
+from loopcal.estimation.fit import Fit
+from loopcal.estimation.fit_document import fit_document
+from loopcal.estimation.result import FitResult
+from loopcal.mechanisms.cameras.lens import project
+from loopcal.statistics.sound import SOUND
+from tests.estimation.cameras.test_image_errors import Array, placed, stated
+
+WIDTH, HEIGHT = 1280, 960
+LENS = {"f": 1100.0, "aspect": 0.0, "cx": 640.0, "cy": 480.0}
+LENS |= {"k1": -0.1, "k2": 0.05, "p1": 0.0, "p2": 0.0, "k3": 0.0}
+POINTS = {str(i): (0.03 * (i % 7) - 0.09, 0.03 * (i // 7) - 0.06, 0.0) for i in range(35)}
+NAMES = tuple(f"eye:board:{point}:{axis}" for point in POINTS for axis in "uv")
+EYE = (0.05, -0.02, 0.6, 0.3, 0.1, 3.0)
+SIX = ("x", "y", "z", "rz", "ry", "rx")
+CORNER, FIELD = 0.2, 0.5
+WAVES = [(m, n) for m in range(4) for n in range(4) if m + n]
+
+
+def machine() -> lc.Mechanism:
+    nominal = {f"board_{n}": 0.0 for n in SIX}
+    nominal |= {f"eye_{n}": v for n, v in zip(SIX, EYE, strict=True)}
+    nominal |= {f"eye_{n}": v for n, v in LENS.items()}
+    look = lc.instruments.camera("eye", points=POINTS, lens="brown5", image=(WIDTH, HEIGHT))
+    return lc.assemble(lc.machines.free_body(), [look], nominal)
+
+
+MACHINE = machine()
+NOISE = lc.Noise(
+    {"[xyz]": 1e-4, "w[xyz]": 1e-4, "eye": CORNER},
+    estimate={"[xyz]": "group", "w[xyz]": "group", "eye": "group"},
+)
+
+
+def waves(uv: Array) -> Array:
+    """(w, N) at pixels (2, N), smoother ones larger."""
+    x, y = np.pi * uv[0] / WIDTH, np.pi * uv[1] / HEIGHT
+    return np.array([np.cos(m * x + n) * np.cos(n * y + m) / (m**2 + n**2) for m, n in WAVES])
+
+
+def pixels(X: Array, values: dict[str, float]) -> Array:
+    return np.array(project("brown5", (X[0], X[1], X[2]), values))
+
+
+def rays() -> Array:
+    """(3, N) of a grid over the whole image."""
+    x, y = np.meshgrid(np.linspace(-0.7, 0.7, 50), np.linspace(-0.5, 0.5, 40))
+    X = np.array([x.ravel(), y.ravel(), np.ones(x.size)])
+    u, v = pixels(X, LENS)
+    return X[:, (u >= 0.0) & (u < WIDTH) & (v >= 0.0) & (v < HEIGHT)]
+
+
+RAYS = rays()
+STEP = {name: 1e-4 * max(1.0, abs(value)) for name, value in LENS.items()}
+TANGENTS = np.column_stack(
+    [
+        (pixels(RAYS, LENS | {n: v + STEP[n]}) - pixels(RAYS, LENS | {n: v - STEP[n]})).ravel()
+        / (2.0 * STEP[n])
+        for n, v in LENS.items()
+    ]
+)
+
+
+def field(random: np.random.Generator) -> tuple[Array, dict[str, float]]:
+    """Amplitudes (2, w) of a field, and the lens that fits it best; it leaves `FIELD` px."""
+    b = random.standard_normal((2, len(WAVES)))
+    d = (b @ waves(pixels(RAYS, LENS))).ravel()
+    step = np.linalg.lstsq(TANGENTS, d, rcond=None)[0]
+    factor = FIELD / np.sqrt(np.square(d - TANGENTS @ step).mean())
+    best = {n: v + factor * s for (n, v), s in zip(LENS.items(), step, strict=True)}
+    return factor * b, best
+
+
+def images(
+    random: np.random.Generator, b: Array, best: dict[str, float], count: int = 20
+) -> tuple[Array, Array, float]:
+    """Poses of the board (N, 4, 4), their pixels without noise, and what the best lens leaves."""
+    xyz = np.array(list(POINTS.values())).T
+    inside = np.linalg.inv(placed(EYE))
+    T: list[Array] = []
+    uv: list[Array] = []
+    left: list[Array] = []
+    while len(T) < count:
+        C = np.eye(4)
+        tilt = random.uniform(0.2, 0.7) * np.array([*random.standard_normal(2), 0.0])
+        C[:3, :3] = Rotation.from_rotvec(tilt).as_matrix() @ np.diag([1.0, -1.0, -1.0])
+        C[:3, 3] = random.uniform((-0.2, -0.15, 0.35), (0.2, 0.15, 0.6))
+        X = C[:3, :3] @ xyz + C[:3, 3:]
+        p = pixels(X, LENS)
+        p = p + b @ waves(p)
+        if (p > 0.0).all() and (p < np.array([[WIDTH], [HEIGHT]])).all():
+            T.append(inside @ C)
+            uv.append(p.T.ravel())
+            left.append(p - pixels(X, best))
+    return np.array(T), np.array(uv).T, float(np.sqrt(np.square(left).mean()))
+
+
+class Draw(NamedTuple):
+    """A calibration, the best lens, and what this leaves at the corners (rms) [px]."""
+
+    result: FitResult
+    best: dict[str, float]
+    left: float
+
+
+def calibrated(seed: int, *, odd: bool) -> Draw:
+    """Of poses of a robot and images; odd: with a field."""
+    random = np.random.default_rng(seed)
+    b, best = field(random)
+    if not odd:
+        b, best = 0.0 * b, LENS
+    T, uv, left = images(random, b, best)
+    uv = uv + random.normal(0.0, CORNER, uv.shape)
+    off = T.copy()
+    turns = Rotation.from_rotvec(random.normal(0.0, 1e-4, (len(T), 3))).as_matrix()
+    off[:, :3, :3] = turns @ T[:, :3, :3]
+    off[:, :3, 3] += random.normal(0.0, 1e-4, (len(T), 3))
+    data = lc.Dataset.from_arrays(stated(off) | dict(zip(NAMES, uv, strict=True)))
+    fit = Fit(method="implicit-loop", start="nominal")
+    return Draw(calibrate(MACHINE, data, noise=NOISE, fit=fit), best, left)
+
+
+def by_corners(result: FitResult) -> Array:
+    """Sds of the estimate without what the lens leaves."""
+    assert result.lens_errors is not None
+    return np.sqrt(np.diag(result.covariance - result.lens_errors.covariance))
+
+
+@pytest.fixture(scope="module")
+def draws() -> list[Draw]:
+    return [calibrated(seed, odd=True) for seed in range(12)]
+
+
+LOOKED_AT = ("eye_f", "eye_cx", "eye_cy", "eye_k1")
+
+
+def test_the_best_lens_is_within_its_sds_where_no_model_describes_it(
+    draws: list[Draw],
+) -> None:
+    off, plain = [], []
+    for result, best, _ in draws:
+        sds = dict(zip(result.estimated, by_corners(result), strict=True))
+        for name in LOOKED_AT:
+            error = result.value[name] - best[name.removeprefix("eye_")]
+            off.append(error / (result.sd[name] or np.nan))
+            plain.append(error / sds[name])
+    # 12 draws of 4 numbers that hang together: some 30 independent ones, of which 8 sds are 5 %.
+    assert np.mean(np.abs(off) < 1.96) >= 0.85
+    assert 0.6 < np.sqrt(np.mean(np.square(off))) < 1.4
+    assert np.sqrt(np.mean(np.square(plain))) > 2.0
+
+
+def test_its_size_is_what_the_lens_leaves_at_the_corners(draws: list[Draw]) -> None:
+    ratios = []
+    for result, _, left in draws:
+        assert result.lens_errors is not None
+        (entry,) = result.lens_errors.entries
+        assert entry.gain > 50.0
+        ratios.append(entry.rms / left)
+    # places of robot and board hide a part of it
+    assert 0.5 < np.median(ratios) < 1.2
+    assert min(ratios) > 0.3
+    assert max(ratios) < 1.5
+
+
+def test_the_document_says_so(draws: list[Draw]) -> None:
+    document = fit_document(draws[0].result)
+    facts = [one for one in (of(document) for of in SOUND) if one is not None]
+    assert "lens-leaves-error" in [one.code for one in facts]
+
+
+def test_sds_stay_where_the_model_describes_the_lens() -> None:
+    ratios = []
+    for seed in range(8):
+        result = calibrated(seed, odd=False).result
+        ratios.append(np.sqrt(np.diag(result.covariance)) / by_corners(result))
+        assert "lens-leaves-error" not in [
+            one.code for one in (of(fit_document(result)) for of in SOUND) if one is not None
+        ]
+    assert np.median(ratios) < 1.02
+    assert np.mean(ratios) < 1.05
