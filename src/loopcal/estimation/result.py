@@ -47,6 +47,7 @@ from loopcal.small_samples import LearntCovariance
 
 if TYPE_CHECKING:
     from loopcal.estimation.dependence.image_errors import ImageErrors
+    from loopcal.estimation.dependence.smooth_images import SmoothPart
     from loopcal.estimation.noise.estimation import NoiseEstimate
     from loopcal.estimation.noise.kenward_roger import LearntParameters
 
@@ -144,6 +145,8 @@ class FitResult:
         covariance = self._independent
         if self._depending is not None and self._depending.covariance is not None:
             covariance = LearntCovariance.certain(self._depending.covariance)
+        elif self._smooth_part is not None:
+            covariance = covariance.besides(*self._smooth_part)
         return covariance if self.inherited is None else self.inherited.added_to(covariance)
 
     @property
@@ -157,6 +160,8 @@ class FitResult:
 
         Other poses of the same robot share them too: predictions leave it out. None without any.
         """
+        if self._smooth_part is not None:
+            return self._smooth_part.part
         if self.drifting is not None or self.learnt is None or self.learnt.alike is None:
             return None
         factor = self._variance_factor if self.variance_factor_applied else None
@@ -224,6 +229,16 @@ class FitResult:
         from loopcal.estimation.dependence.image_errors import image_errors  # where it is used
 
         return image_errors(self.problem, self.solution, self.pose_equations())
+
+    @cached_property
+    def _smooth_part(self) -> SmoothPart | None:
+        """What errors of stated poses that are alike nearby add to `image_errors`."""
+        if self.image_errors is None or self.drifting is not None:
+            return None
+        from loopcal.estimation.dependence.smooth_images import smooth_part  # where it is used
+
+        equations, C = self.pose_equations(), self.spectrum.covariance()
+        return smooth_part(self.problem, self.image_errors, equations, C)
 
     def _by_residuals(self) -> LearntCovariance:
         """Scaled by the mean square of the residuals."""
