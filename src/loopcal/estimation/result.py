@@ -237,8 +237,8 @@ class FitResult:
             return None
         from loopcal.estimation.dependence.smooth_images import smooth_part  # where it is used
 
-        equations, C = self.pose_equations(), self.spectrum.covariance()
-        return smooth_part(self.problem, self.image_errors, equations, C)
+        C = self.spectrum.covariance()
+        return smooth_part(self.problem, self.image_errors, self.pose_equations(), C)
 
     def _by_residuals(self) -> LearntCovariance:
         """Scaled by the mean square of the residuals."""
