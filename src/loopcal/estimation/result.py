@@ -139,12 +139,11 @@ class FitResult:
 
     @cached_property
     def learnt_covariance(self) -> LearntCovariance:
-        """Of the estimated parameters, and how sure it is itself. Sds that were learnt are not
-        known, and those of least squares come from its residuals. It allows for serial dependence
-        where there is any."""
-        covariance = self._independent
-        if self._depending is not None and self._depending.covariance is not None:
-            covariance = LearntCovariance.certain(self._depending.covariance)
+        """Of the estimated parameters, and how sure it is itself: learnt sds are not known. Least
+        squares has it from residuals. It allows for serial dependence where there is any."""
+        covariance, depending = self._independent, self._depending
+        if depending is not None and depending.covariance is not None:
+            covariance = LearntCovariance.certain(depending.covariance)
         elif self._smooth_part is not None:
             covariance = covariance.besides(*self._smooth_part)
         return covariance if self.inherited is None else self.inherited.added_to(covariance)
@@ -157,9 +156,7 @@ class FitResult:
     @cached_property
     def pose_part(self) -> Array | None:
         """(n, n) what `covariance` gains by errors that stated poses share with their neighbours.
-
-        Other poses of the same robot share them too: predictions leave it out. None without any.
-        """
+        Other poses of the same robot share them too: predictions leave it out. None without any."""
         if self._smooth_part is not None:
             return self._smooth_part.part
         if self.drifting is not None or self.learnt is None or self.learnt.alike is None:
@@ -170,7 +167,7 @@ class FitResult:
 
     @property
     def smooth_errors(self) -> SmoothErrors | None:
-        """Of stated poses, for predictions far from those of the fit; None without `pose_part`."""
+        """Of stated poses, for those far from these; None without, and of least squares."""
         if self.pose_part is None or self.learnt is None or self.learnt.alike is None:
             return None
         factor = self._variance_factor if self.variance_factor_applied else None
@@ -233,12 +230,13 @@ class FitResult:
     @cached_property
     def _smooth_part(self) -> SmoothPart | None:
         """What errors of stated poses that are alike nearby add to `image_errors`."""
-        if self.image_errors is None or self.drifting is not None:
+        images = self.image_errors if self.drifting is None else None
+        if images is None:
             return None
         from loopcal.estimation.dependence.smooth_images import smooth_part  # where it is used
 
         C = self.spectrum.covariance()
-        return smooth_part(self.problem, self.image_errors, self.pose_equations(), C)
+        return smooth_part(self.problem, images, self.pose_equations(), C)
 
     def _by_residuals(self) -> LearntCovariance:
         """Scaled by the mean square of the residuals."""

@@ -79,7 +79,7 @@ class ModelBlock:
 
     @cached_property
     def alone(self) -> NDArray[np.intp] | None:
-        """(r,) of each row the column of G that acts on it alone, by 1, as the noise of a corner does;
+        """(r,) of each row the column of G that acts on it alone, by 1, as the noise of a corner;
         None where a row has none, or V_0 acts besides."""
         rows = self.G.shape[1]
         which = np.flatnonzero(np.count_nonzero(self.G, axis=1).max(axis=0, initial=0) == 1)
