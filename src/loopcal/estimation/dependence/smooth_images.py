@@ -9,8 +9,9 @@ of the stated pose along the base and v_i ~ N(0, s^2 I), the estimate has the co
     C (s^2 sum_i D_i^T D_i + sum_ij D_i^T X_i cov(u_i, u_j) X_j^T D_j) C,
 
 averaged by restricted likelihood over a grid: as in `pose_errors`, with the share of positions in
-what errors of poses do to the pixels besides. In units of that effect the variance is about 1. Of
-the result only what exceeds the covariance of `image_errors` in a direction is added to it.
+what errors of poses do to the pixels besides. In units of that effect the variance is about 1. What
+images have by themselves is in the covariance of `image_errors`: the sum over i != j is added to
+it, in the directions in which it is positive.
 """
 
 from __future__ import annotations
@@ -52,15 +53,17 @@ def smooth_part(
     if poses is None or not images.sd:
         return None
     white = [replace(b, E=b.E / images.sd, D=b.D / images.sd, X=b.X / images.sd) for b in equations]
-    root, inverse = _roots(images.sd**2 * C)
+    root = _root(images.sd**2 * C)
     view = along_base(seen(problem, white, root, QUANTITIES), poses.R)
     read = view.read
-    effect = np.einsum("nqq->q", view.M[read]) / max(int(read.sum()), 1)
+    effect = view.M[read].diagonal(axis1=1, axis2=2).mean(axis=0)
     left = np.einsum(
         "nq,nqp,np->n", view.y, np.linalg.pinv(view.M, rcond=1e-9, hermitian=True), view.y
     )
-    power = float(left[read].mean()) - len(effect) + root.shape[1] / max(int(read.sum()), 1)
-    if power <= 0.0 or not (effect > 0.0).all():
+    count = max(int(read.sum()), 1)
+    power = float(left[read].mean()) - len(effect) + root.shape[1] / count
+    # The mean of chi-squared of six over so many images: within two sds it is chance.
+    if power <= 2.0 * math.sqrt(2.0 * len(effect) / count) or not (effect > 0.0).all():
         return None
     grids = []
     for share in _POSITIONS:
@@ -78,31 +81,27 @@ def smooth_part(
     least = min(float(points[:, 0].min()) for _, points in grids)
     weights = [np.exp(-0.5 * (points[:, 0] - least)) for _, points in grids]
     total = sum(float(w.sum()) for w in weights)
-    model, moments = np.eye(root.shape[1]), np.zeros(2)
+    shared, moments = np.zeros((root.shape[1], root.shape[1])), np.zeros(2)
     for (units, points), weight in zip(grids, weights, strict=True):
         _, place, share, variance = points.T
         of_each = weight / total * variance
         A = scaled(view, units).A
-        model += float(of_each @ (1.0 - share)) * np.einsum("nqi,nqj->ij", A, A)
         flat = A.reshape(len(A), -1)
         for i, length in enumerate(LENGTHS):
             size = float((of_each * share)[place == i].sum())
             along = (poses.alike(poses, length) @ flat).reshape(A.shape)
-            model += size * np.einsum("nqi,nqj->ij", A, along)
+            shared += size * np.einsum("nqi,nqj->ij", A, along - A)
         smooth = variance * share
         moments += [float(weight / total @ smooth), float(weight / total @ smooth**2)]
     spread = math.sqrt(max(moments[1] - moments[0] ** 2, 0.0)) / max(moments[0], 1e-300)
-    values, vectors = np.linalg.eigh(
-        0.5 * (model + model.T) - inverse @ images.covariance @ inverse.T
-    )
+    values, vectors = np.linalg.eigh(0.5 * (shared + shared.T))
     more = root @ (vectors * np.sqrt(np.maximum(values, 0.0)))
     return SmoothPart(np.asarray(more @ more.T), spread)
 
 
-def _roots(C: Array) -> tuple[Array, Array]:
-    """R (n, k) and its inverse (k, n), R R^T = C (n, n)."""
+def _root(C: Array) -> Array:
+    """R (n, k), R R^T = C (n, n)."""
     scale = np.sqrt(np.maximum(np.diag(C), 1e-300))
     values, vectors = np.linalg.eigh(C / np.outer(scale, scale))
     kept = values > _RANK * values[-1]
-    size, axes = np.sqrt(values[kept]), vectors[:, kept]
-    return scale[:, None] * axes * size, (axes / size).T / scale
+    return np.asarray(scale[:, None] * vectors[:, kept] * np.sqrt(values[kept]))
