@@ -9,9 +9,8 @@ of the stated pose along the base and v_i ~ N(0, s^2 I), the estimate has the co
     C (s^2 sum_i D_i^T D_i + sum_ij D_i^T X_i cov(u_i, u_j) X_j^T D_j) C,
 
 averaged by restricted likelihood over a grid: as in `pose_errors`, with the share of positions in
-what errors of poses do to the pixels besides. In units of that effect the variance is about 1. What
-images have by themselves is in the covariance of `image_errors`: the sum over i != j is added to
-it, in the directions in which it is positive.
+what errors of poses do to the pixels besides. In units of that effect the variance is about 1. Of
+the result only what exceeds the covariance of `image_errors` in a direction is added to it.
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ def smooth_part(
     if poses is None or not images.sd:
         return None
     white = [replace(b, E=b.E / images.sd, D=b.D / images.sd, X=b.X / images.sd) for b in equations]
-    root = _root(images.sd**2 * C)
+    root, inverse = _roots(images.sd**2 * C)
     view = along_base(seen(problem, white, root, QUANTITIES), poses.R)
     read = view.read
     effect = view.M[read].diagonal(axis1=1, axis2=2).mean(axis=0)
@@ -81,27 +80,31 @@ def smooth_part(
     least = min(float(points[:, 0].min()) for _, points in grids)
     weights = [np.exp(-0.5 * (points[:, 0] - least)) for _, points in grids]
     total = sum(float(w.sum()) for w in weights)
-    shared, moments = np.zeros((root.shape[1], root.shape[1])), np.zeros(2)
+    model, moments = np.eye(root.shape[1]), np.zeros(2)
     for (units, points), weight in zip(grids, weights, strict=True):
         _, place, share, variance = points.T
         of_each = weight / total * variance
         A = scaled(view, units).A
+        model += float(of_each @ (1.0 - share)) * np.einsum("nqi,nqj->ij", A, A)
         flat = A.reshape(len(A), -1)
         for i, length in enumerate(LENGTHS):
             size = float((of_each * share)[place == i].sum())
             along = (poses.alike(poses, length) @ flat).reshape(A.shape)
-            shared += size * np.einsum("nqi,nqj->ij", A, along - A)
+            model += size * np.einsum("nqi,nqj->ij", A, along)
         smooth = variance * share
         moments += [float(weight / total @ smooth), float(weight / total @ smooth**2)]
     spread = math.sqrt(max(moments[1] - moments[0] ** 2, 0.0)) / max(moments[0], 1e-300)
-    values, vectors = np.linalg.eigh(0.5 * (shared + shared.T))
+    values, vectors = np.linalg.eigh(
+        0.5 * (model + model.T) - inverse @ images.covariance @ inverse.T
+    )
     more = root @ (vectors * np.sqrt(np.maximum(values, 0.0)))
     return SmoothPart(np.asarray(more @ more.T), spread)
 
 
-def _root(C: Array) -> Array:
-    """R (n, k), R R^T = C (n, n)."""
+def _roots(C: Array) -> tuple[Array, Array]:
+    """R (n, k) and its inverse (k, n), R R^T = C (n, n)."""
     scale = np.sqrt(np.maximum(np.diag(C), 1e-300))
     values, vectors = np.linalg.eigh(C / np.outer(scale, scale))
     kept = values > _RANK * values[-1]
-    return np.asarray(scale[:, None] * vectors[:, kept] * np.sqrt(values[kept]))
+    size, axes = np.sqrt(values[kept]), vectors[:, kept]
+    return scale[:, None] * axes * size, (axes / size).T / scale
