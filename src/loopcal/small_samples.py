@@ -98,6 +98,11 @@ class LearntCovariance:
         slopes[-1:] += spread * part
         return LearntCovariance(self.matrix + part, self.plain + part, slopes)
 
+    def besides(self, part: Array, spread: float) -> LearntCovariance:
+        """With this part in `matrix` alone, along a last slope of its own: `less` leaves it out."""
+        slopes = np.concatenate([self.slopes, spread * part[None]])
+        return LearntCovariance(self.matrix + part, self.plain, slopes)
+
     def of(self, index: NDArray[np.intp]) -> LearntCovariance:
         """Of some of the estimates."""
         at = (..., index[:, None], index)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -90,6 +91,42 @@ def test_a_moved_camera_is_named(
     assert "(--anew eye)" in (done.verdict["consistent"].next or "")
     stated = lc.verify(lc.read_result(first), folder, remounted=["eye"])
     assert stated.verdict["consistent"].passed
+
+
+@pytest.mark.parametrize("end", ["first", "last"])
+def test_a_zero_of_a_robot_that_states_poses_is_among_what_is_named(
+    first: Path, tmp_path: Path, end: str
+) -> None:
+    """Of the first joint it moves all poses in the base, of the last one in the flange: a camera or
+    a board was blamed alone."""
+    T, turn = hands(8, 7), np.eye(4)
+    turn[:3, :3] = Rotation.from_rotvec([0.0, 0.0, np.radians(0.2)]).as_matrix()
+    done = verified(
+        first,
+        day(tmp_path, 7, 8, np.array([turn @ one if end == "first" else one @ turn for one in T])),
+    )
+    answer = done.verdict["consistent"]
+    assert answer.passed is False
+    assert changes(done) == ["eye" if end == "first" else "board"]
+    assert "the robot states other poses" in answer.words
+
+
+def test_another_camera_is_named(
+    first: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A lens of another focal length and principal point was three changes, or another machine."""
+    lens = test_camera.LENS
+    monkeypatch.setattr(
+        test_camera,
+        "LENS",
+        replace(lens, fx=1.01 * lens.fx, fy=1.01 * lens.fy, cx=lens.cx - 12.0, cy=lens.cy + 9.0),
+    )
+    done = verified(first, day(tmp_path, 7, 8))
+    assert done.changes is not None
+    assert done.changes.code == "camera-exchanged"
+    answer = done.verdict["consistent"]
+    assert "eye is another camera" in answer.words
+    assert "states other poses" not in answer.words
 
 
 def test_a_camera_is_shifted_as_its_centre_is_and_turned(

@@ -103,6 +103,15 @@ ANOTHER_DAY = (
         shared="changed",
     ),
     _not_consistent(
+        "camera-exchanged",
+        "The machine is not as calibrated: {camera} is another camera, or its lens or resolution "
+        "was changed: {changes}.",
+        "Check which camera took the images, its lens, its resolution and its focus. Then "
+        "calibrate anew.",
+        _PAGE,
+        shared="changed",
+    ),
+    _not_consistent(
         "machine-changed",
         _NOT_AS_CALIBRATED,
         "Inspect the worst poses. Calibrate anew.",

@@ -48,6 +48,7 @@ from loopcal.small_samples import LearntCovariance
 if TYPE_CHECKING:
     from loopcal.estimation.dependence.image_errors import ImageErrors
     from loopcal.estimation.dependence.lens_errors import LensErrors
+    from loopcal.estimation.dependence.smooth_images import SmoothPart
     from loopcal.estimation.noise.estimation import NoiseEstimate
     from loopcal.estimation.noise.kenward_roger import LearntParameters
 
@@ -139,11 +140,14 @@ class FitResult:
 
     @cached_property
     def learnt_covariance(self) -> LearntCovariance:
-        """Of the estimated parameters, and how sure it is itself: sds that were learnt are not
-        known. It allows for serial dependence where there is any, and for what lenses leave."""
-        covariance = self._independent
-        if self._depending is not None and self._depending.covariance is not None:
-            covariance = LearntCovariance.certain(self._depending.covariance)
+        """Of the estimated parameters, and how sure it is itself: learnt sds are not known. Least
+        squares has it from residuals. It allows for serial dependence where there is any, and for
+        what lenses leave."""
+        covariance, depending = self._independent, self._depending
+        if depending is not None and depending.covariance is not None:
+            covariance = LearntCovariance.certain(depending.covariance)
+        elif self._smooth_part is not None:
+            covariance = covariance.besides(*self._smooth_part)
         if self.lens_errors is not None:
             covariance = covariance.widened(self.lens_errors.covariance)
         return covariance if self.inherited is None else self.inherited.added_to(covariance)
@@ -161,9 +165,9 @@ class FitResult:
     @cached_property
     def pose_part(self) -> Array | None:
         """(n, n) what `covariance` gains by errors that stated poses share with their neighbours.
-
-        Other poses of the same robot share them too: predictions leave it out. None without any.
-        """
+        Other poses of the same robot share them too: predictions leave it out. None without any."""
+        if self._smooth_part is not None:
+            return self._smooth_part.part
         if self.drifting is not None or self.learnt is None or self.learnt.alike is None:
             return None
         factor = self._variance_factor if self.variance_factor_applied else None
@@ -172,7 +176,7 @@ class FitResult:
 
     @property
     def smooth_errors(self) -> SmoothErrors | None:
-        """Of stated poses, for predictions far from those of the fit; None without `pose_part`."""
+        """Of stated poses, for those far from these; None without, and of least squares."""
         if self.pose_part is None or self.learnt is None or self.learnt.alike is None:
             return None
         factor = self._variance_factor if self.variance_factor_applied else None
@@ -239,6 +243,17 @@ class FitResult:
         from loopcal.estimation.dependence.lens_errors import lens_errors  # of cameras alone
 
         return lens_errors(self.problem, self.solution)
+
+    @cached_property
+    def _smooth_part(self) -> SmoothPart | None:
+        """What errors of stated poses that are alike nearby add to `image_errors`."""
+        images = self.image_errors if self.drifting is None else None
+        if images is None:
+            return None
+        from loopcal.estimation.dependence.smooth_images import smooth_part  # where it is used
+
+        C = self.spectrum.covariance()
+        return smooth_part(self.problem, images, self.pose_equations(), C)
 
     def _by_residuals(self) -> LearntCovariance:
         """Scaled by the mean square of the residuals."""

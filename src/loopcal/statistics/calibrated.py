@@ -302,6 +302,7 @@ def _stored_residual(
     if stored is None or not stored.shared:
         return _residual(_squares(document), _freedom(document))
     sd = next(one.residual for one in stored.by if one.residual is not None)
+    covariance = covariance.less(stored_pose_part(document.covariance))  # as `image_errors` has it
     return ResidualVariance(sd**2, float(covariance.freedom.min()), stored.shared)
 
 

@@ -56,6 +56,8 @@ _OF_IMAGES = {"lens", "print"}
 """Kinds of changes of a camera and of what it sees."""
 PLACED = ("mounting", "camera")
 """Kinds of changes of where something sits."""
+PRINCIPAL_POINT = "the principal point of "
+"""The name of its change begins so, and ends with that of the camera."""
 _VERBS = {"zero": "moved", **dict.fromkeys(PLACED, "moved")}
 # Chosen, not derived: what fits a line.
 _MOST_NAMED = 4
@@ -232,10 +234,23 @@ class WhatChanged:
         return tuple(dict.fromkeys(change.zeros[0] for change in self.found))
 
     @property
+    def exchanged(self) -> str:
+        """The camera whose principal point changed, with its focal length or place, and nothing
+        else: refocusing moves the one, a knock the other; "" for none."""
+        names = {one.name for one in self.found if one.kind in ("lens", *PLACED)}
+        points = [n for n in names if n.startswith(PRINCIPAL_POINT)]
+        if len(points) != 1 or not 1 < len(names) == len(self.found):
+            return ""
+        eye = points[0].removeprefix(PRINCIPAL_POINT)
+        return eye if names <= {eye, f"{eye}_f", points[0]} else ""
+
+    @property
     def code(self) -> str:
         """Of the fact that these changes are."""
         if self.verdict in ("unchanged", DRIFT_OR_CHANGE):
             return self.verdict
+        if self.exchanged:
+            return "camera-exchanged"
         if len(self.found) == SOUGHT and self.left is not None and self.left < LEVEL:
             return "more-changed"
         if any(change.kind == "delay" for change in self.found):

@@ -21,6 +21,7 @@ from loopcal.mechanisms.parameters import GEOMETRY, OF_CAMERAS
 from loopcal.mechanisms.placement import ChainPlacement
 from loopcal.mechanisms.station import BASE, Station
 from loopcal.mechanisms.structure.structured import driven_joints
+from loopcal.statistics.changed import PRINCIPAL_POINT
 from loopcal.statistics.innovation import Linearised
 from loopcal.statistics.replacing import CAMERAS, IN_PROPORTION
 from loopcal.statistics.run_order import WAYS, like_a_delay
@@ -334,7 +335,7 @@ def _cameras(problem: Problem) -> Iterator[Possible]:
             alone = Possible("camera", place, label=eye)
             yield _bracket(problem, [eye], "camera", eye) if eye in whole else alone
         if centre := tuple(lens_names[key] for key in ("cx", "cy") if key in lens_names):
-            yield Possible("lens", centre, label=f"the principal point of {eye}")
+            yield Possible("lens", centre, label=f"{PRINCIPAL_POINT}{eye}")
     yield from (focus := [*_focus(problem)])
     if len(focus) > 1:  # alike in all, which with the distance of the boards hides each of them
         names = tuple(name for one in focus for name in one.names)

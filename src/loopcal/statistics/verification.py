@@ -26,6 +26,7 @@ from loopcal.estimation.accuracy import (
     main_unit,
     overall,
 )
+from loopcal.estimation.dependence.stated_poses import StatedPoses
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.sensitivity import output_sensitivity
@@ -216,6 +217,7 @@ def _verified(day: Day, tolerance: float | None, copied: int, repeated: int) -> 
         copied=copied,
         repeated=repeated,
         sound=day.calibrated.sound,
+        flange=StatedPoses.of(problem) is not None,
         unlike=tuple(unlike(day.calibrated.conditions, mechanism.pose_constants, known)),
     )
 

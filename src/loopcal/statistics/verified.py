@@ -35,6 +35,10 @@ from loopcal.statistics.verdict import Quantile, kept
 
 MOVED = "moved-in-run"
 _OR_ELSE = ", or else it is an error that the machine model lacks"
+_OR_POSES = ", or else the robot states other poses than it did, as after a joint was mastered anew"
+_PLACES = ("camera-moved", "mounting-changed", "machine-changed", "changed")
+"""Codes of changes that stated poses may have made: a zero of the first joint moves a camera beside
+the robot, one of the last joint what it carries, and others nearly so."""
 _AGAINST = (MOVED, "errors-larger", "misfit-larger")
 _QUESTIONS: tuple[Question, ...] = ("consistent", "better", "tolerance")
 
@@ -76,7 +80,9 @@ class Verification:
     covariance holds; copied: rows that copy others; repeated: poses of the calibration itself;
     unlike: a sentence for each temperature or load outside the range of the calibration; read_as:
     how other columns than those of the first day were read; sound: the answer of the calibration's
-    own verdict, None where it was not judged; files: names of result and readings, for commands.
+    own verdict, None where it was not judged; flange: whether a robot states poses, and no joints,
+    so that an error of a joint is none of what is tested; files: names of result and readings, for
+    commands.
     """
 
     __repr__ = brief
@@ -103,6 +109,7 @@ class Verification:
     unlike: tuple[str, ...] = ()
     read_as: str = ""
     sound: Answer | None = None
+    flange: bool = False
     files: Mapping[str, Named] = field(default_factory=dict)
 
     @cached_property
@@ -142,6 +149,8 @@ class Verification:
         words = "; ".join(change.among for change in changes.found) or self._statistic()
         if changes.found and self.sound is not None and self.sound.code == "sds-too-small":
             words += _OR_ELSE
+        if self.flange and changes.code in _PLACES:
+            words += _OR_POSES
         whole = 0.0 if self.innovation.p_value is None else self.innovation.p_value
         p_value = min(whole, *(change.p_value for change in changes.found), 1.0)
         return fact(
@@ -151,7 +160,7 @@ class Verification:
             statistic=self._statistic(),
             changes=words,
             joints=", ".join(changes.joints),
-            camera=changes.found[0].name if changes.found else "",
+            camera=changes.exchanged or (changes.found[0].name if changes.found else ""),
         )
 
     def _moved(self) -> Fact | None:

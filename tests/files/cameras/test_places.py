@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -109,3 +110,45 @@ def test_poses_that_are_none_are_refused(tmp_path: Path) -> None:
         read_places(written(tmp_path, "{x: 0, y: 0, z: 0, qx: 0, qy: 0, qz: 0, qw: 0}"))
     with refused("missing-key", "poses.yaml"):
         read_places(written(tmp_path, "a: 1\n"))
+
+
+MATRIX = [[*row, t] for row, t in zip(TURNED.tolist(), (1.0, 2.0, 3.0), strict=True)]
+FLAT = [cell for row in [*MATRIX, [0.0, 0.0, 0.0, 1.0]] for cell in row]
+
+
+@pytest.mark.parametrize(
+    "one",
+    [
+        [*MATRIX, [0.0, 0.0, 0.0, 1.0]],
+        MATRIX,
+        FLAT,
+        {"T_base_flange": MATRIX, "stamp": 1.5},
+        {"position": [1.0, 2.0, 3.0], "orientation": [0.0, 0.0, Q["z"], Q["w"]]},
+        {"t": [[1.0], [2.0], [3.0]], "R": TURNED.tolist()},
+        {"tvec": [1.0, 2.0, 3.0], "rvec": [0.0, 0.0, np.pi / 2.0]},
+    ],
+)
+def test_poses_by_image_in_json(tmp_path: Path, one: object) -> None:
+    path = written(tmp_path, json.dumps({"img_7.png": one, "img_8.png": one}), "robot.json")
+    places = read_places(path)
+    assert places.name == ("img_7.png", "img_8.png")
+    np.testing.assert_allclose(places.T[1, :3], np.c_[TURNED, (1, 2, 3)], atol=1e-8)
+    rows = [{"image": name, "pose": one} for name in ("img_7.png", "img_8.png")]
+    listed = read_places(written(tmp_path, json.dumps(rows), "listed.json"))
+    assert listed.name == ("img_7", "img_8")
+    np.testing.assert_allclose(listed.T, places.T)
+
+
+def test_matrices_of_opencv(tmp_path: Path) -> None:
+    matrix = f"!!opencv-matrix\n  rows: 4\n  cols: 4\n  dt: d\n  data: {FLAT}\n"
+    text = "%YAML:1.0\n---\n" + "".join(f"pose_{i}: {matrix}" for i in range(3))
+    places = read_places(written(tmp_path, text))
+    assert places.name == ("pose_0", "pose_1", "pose_2")
+    np.testing.assert_allclose(places.T[2, :3], np.c_[TURNED, (1, 2, 3)], atol=1e-12)
+
+
+def test_rotations_and_translations_side_by_side(tmp_path: Path) -> None:
+    lists = {"R_gripper2base": [TURNED.tolist()] * 3, "t_gripper2base": [[1.0, 2.0, 3.0]] * 3}
+    places = read_places(written(tmp_path, json.dumps(lists), "robot.json"))
+    assert places.name == ("0", "1", "2")
+    np.testing.assert_allclose(places.T[2, :3], np.c_[TURNED, (1, 2, 3)], atol=1e-12)

@@ -328,9 +328,20 @@ def as_tum(T: np.ndarray) -> np.ndarray:
     return np.column_stack([np.arange(len(T)), T[:, :3, 3], quaternions])
 
 
+def as_vectors(T: np.ndarray) -> np.ndarray:
+    return np.column_stack([T[:, :3, 3], Rotation.from_matrix(T[:, :3, :3]).as_rotvec()])
+
+
+def as_numbered_turns(T: np.ndarray) -> np.ndarray:
+    turns = Rotation.from_matrix(T[:, :3, :3]).as_euler("xyz", degrees=True)
+    return np.column_stack([np.arange(len(T)), T[:, :3, 3], turns])
+
+
 @pytest.mark.parametrize(
     ("numbers", "header"),
     [
+        (as_vectors, ""),
+        (as_numbered_turns, ""),
         (as_matrices, ""),
         (as_three_rows, ""),
         (as_tum, ""),

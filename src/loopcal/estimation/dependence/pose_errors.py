@@ -38,7 +38,7 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.products import rows_times
 
 # docs/decisions/0161, in units of the root mean square over all pairs of poses.
-_LENGTHS = (0.5, 0.8, 1.2)
+LENGTHS = (0.5, 0.8, 1.2)
 _SHARES = (0.0, 0.25, 0.5, 0.75, 0.97)
 _VARIANCES = 2.0 ** np.arange(-1.0, 4.1, 0.5)
 # Chosen, not derived: variance and length are learnt as well from so many poses.
@@ -76,25 +76,19 @@ def pose_errors(
     units = sd
     if not sd.any() or not np.isfinite(sd).all():
         return None
-    view = _along_base(seen(problem, equations, root, QUANTITIES), poses.R)
+    view = along_base(seen(problem, equations, root, QUANTITIES), poses.R)
     if not sd.all():  # in SI
         learnt = (sd > 0.0).astype(float)
         effect = np.einsum("nqq->q", view.M)
         turned = float(effect @ sd**2) / float((effect * (1.0 - learnt)).sum())
         units = np.where(sd > 0.0, sd, math.sqrt(turned))
-        view = _scaled(view, units)
+        view = scaled(view, units)
     away = problem.precision * (problem.nominal - parameters[problem.free])
     pull = root.T @ np.where(problem.precision > 0.0, away, 0.0)
-    likelihood = _Likelihood.of(pull, equations, root, view, learnt)
-    if likelihood is None:
+    grid = Grid.of(pull, equations, root, view, learnt)
+    if grid is None:
         return None
-    near = poses.take(likelihood.poses)
-    points = [
-        (criterion, i, share, variance)
-        for i, length in enumerate(_LENGTHS)
-        for share, variance, criterion in likelihood.over(near.alike(near, length), not i)
-    ]
-    criteria, place, share, variance = np.array(points).T
+    criteria, place, share, variance = grid.points(poses).T
     weights = np.exp(-0.5 * (criteria - criteria.min()))
     weights /= weights.sum()
     mean = float(weights @ (variance * share))
@@ -105,8 +99,8 @@ def pose_errors(
     alone = float(weights @ (1.0 - share))
     smooth = np.zeros((k, k))
     flat = A.reshape(N, q * k)
-    sizes = [float((weights * share)[place == i].sum()) for i in range(len(_LENGTHS))]
-    for length, size in zip(_LENGTHS, sizes, strict=True):
+    sizes = [float((weights * share)[place == i].sum()) for i in range(len(LENGTHS))]
+    for length, size in zip(LENGTHS, sizes, strict=True):
         for first in range(0, N, _MOST):
             part = poses.take(np.arange(first, min(first + _MOST, N)))
             along = (part.alike(poses, length) @ flat).reshape(-1, k)
@@ -120,7 +114,7 @@ def pose_errors(
         SmoothErrors(
             tuple(map(tuple, poses.some().rows.tolist())),
             poses.mean_squares,
-            _LENGTHS,
+            LENGTHS,
             tuple(sizes),
             alone,
             tuple((np.maximum(alone + sum(sizes) - learnt, 0.0) * units**2).tolist()),
@@ -129,7 +123,7 @@ def pose_errors(
     )
 
 
-def _along_base(view: Seen, R: Array) -> Seen:
+def along_base(view: Seen, R: Array) -> Seen:
     """With turns about the axes of the base: those of a body are R^T times these."""
     Q = np.broadcast_to(np.eye(6), (len(R), 6, 6)).copy()
     Q[:, 3:, 3:] = R
@@ -137,7 +131,7 @@ def _along_base(view: Seen, R: Array) -> Seen:
     return Seen(y, Q @ view.A, Q @ view.M @ np.swapaxes(Q, 1, 2))
 
 
-def _scaled(view: Seen, units: Array) -> Seen:
+def scaled(view: Seen, units: Array) -> Seen:
     """With errors in these units (q,)."""
     A, M = view.A * units[:, None], view.M * np.multiply.outer(units, units)
     return Seen(view.y * units, A, M)
@@ -151,8 +145,8 @@ def _usual_sds(problem: Problem) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class _Likelihood:
-    """Of t, c and k, where poses show z (n, q) and B (n, q, k) = M^-1 A.
+class Grid:
+    """The likelihood of t, c and k, where poses show z (n, q) and B (n, q, k) = M^-1 A.
 
     poses (n,): which; pixels (q,): variances of z by pixels; H (k, k), g (k,): the information that
     is left, with the prior's.
@@ -173,7 +167,7 @@ class _Likelihood:
         root: Array,
         view: Seen,
         learnt: Array,
-    ) -> _Likelihood | None:
+    ) -> Grid | None:
         """None where hardly any image shows its pose."""
         values, vectors = np.linalg.eigh(view.M)
         inverse = (vectors / np.maximum(values, _LEAST)[:, None]) @ np.swapaxes(vectors, 1, 2)
@@ -191,7 +185,18 @@ class _Likelihood:
             g += np.einsum("brk,br->k", rows_times(block.D, root), block.E)
         return cls(poses, z[poses] @ axes, axes.T @ B[poses], np.maximum(pixels, 0.0), H, g)
 
-    def over(self, alike: Array, independent: bool) -> Iterator[tuple[float, float, float]]:
+    def points(self, poses: StatedPoses) -> Array:
+        """(g, 4) -2 log of the restricted likelihood, the length by position, c and t."""
+        near = poses.take(self.poses)
+        return np.array(
+            [
+                (criterion, i, share, variance)
+                for i, length in enumerate(LENGTHS)
+                for share, variance, criterion in self._over(near.alike(near, length), not i)
+            ]
+        )
+
+    def _over(self, alike: Array, independent: bool) -> Iterator[tuple[float, float, float]]:
         """c, t and -2 log of the restricted likelihood, but for a constant."""
         along, vectors = np.linalg.eigh(alike)
         along = np.maximum(along, 0.0)

@@ -17,9 +17,10 @@ for every pose.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,6 +76,19 @@ class ModelBlock:
     def J(self) -> Array:
         """(b, r, n)."""
         return self.rows[:, :, :-1]
+
+    @cached_property
+    def alone(self) -> NDArray[np.intp] | None:
+        """(r,) of each row the column of G that acts on it alone, by 1, as the noise of a corner;
+        None where a row has none, or V_0 acts besides."""
+        rows = self.G.shape[1]
+        which = np.flatnonzero(np.count_nonzero(self.G, axis=1).max(axis=0, initial=0) == 1)
+        if len(which) != rows or not rows or self.fixed.any():
+            return None
+        at = self.G[0][:, which].argmax(axis=0)
+        if len({*at.tolist()}) < rows or not (self.G[:, at, which] == 1.0).all():
+            return None
+        return np.asarray(which[np.argsort(at)])
 
     @property
     def e(self) -> Array:
@@ -435,15 +449,11 @@ def whitened(model: LinearModel, ratios: Array, sums: Array | None = None) -> Jo
         if np.any(spare[ratios == 0.0]):
             return None
         log_V += float(spare @ np.log(_above_zero(ratios)) + block.scale.sum())
-        V = block.fixed + (block.G * ratios[block.owner]) @ block.G.transpose(0, 2, 1)
-        try:
-            L = np.linalg.cholesky(V)
-        except np.linalg.LinAlgError:
+        root = _near_diagonal(block, ratios) or _dense(block, ratios)
+        if root is None:
             return None
-        log_V += 2.0 * float(np.log(np.einsum("brr->br", L)).sum())
-        # NumPy solves no stacks of triangles: an inverse and a product serve the whole block.
-        inverse = np.linalg.inv(L)
-        rows, turned = inverse @ block.rows, inverse @ block.G
+        log_V += root.log_volume
+        rows, turned = root.times(block.rows), root.times(block.G)
         # not of absolute values, which are as large an array again
         ends = [
             end for one in (rows, turned) for end in (-one.min(initial=0.0), one.max(initial=0.0))
@@ -453,6 +463,56 @@ def whitened(model: LinearModel, ratios: Array, sums: Array | None = None) -> Jo
         every.append(rows)
         W.append(turned)
     return Joined(ratios, every, W, log_V, sums)
+
+
+class _Root(NamedTuple):
+    """times: of X (b, r, m) the product R X, R V R^T = 1 by pose; log_volume: log det V of all."""
+
+    times: Callable[[Array], Array]
+    log_volume: float
+
+
+def _dense(block: ModelBlock, ratios: Array) -> _Root | None:
+    """R = L^-1 of V = L L^T; None where V is singular."""
+    V = block.fixed + (block.G * ratios[block.owner]) @ block.G.transpose(0, 2, 1)
+    try:
+        L = np.linalg.cholesky(V)
+    except np.linalg.LinAlgError:
+        return None
+    # NumPy solves no stacks of triangles: an inverse and a product serve the whole block.
+    inverse = np.linalg.inv(L)
+    log_V = 2.0 * float(np.log(np.einsum("brr->br", L)).sum())
+    return _Root(lambda X: np.asarray(inverse @ X), log_V)
+
+
+def _near_diagonal(block: ModelBlock, ratios: Array) -> _Root | None:
+    """R of V = S (1 + U U^T) S, S diagonal and U (b, r, k) of few columns, as those of images are:
+    the cube of their rows is left out. With U^T U = Q diag(l) Q^T
+
+        R = (1 + U Q diag(g) Q^T U^T) S^-1,   g = (1 / sqrt(1 + l) - 1) / l.
+
+    None where V has no such form.
+    """
+    if block.alone is None:
+        return None
+    others = np.ones(len(block.owner), dtype=bool)
+    others[block.alone] = False
+    variances = ratios[block.owner[block.alone]]
+    if others.sum() >= len(variances) or not (variances > 0.0).all():
+        return None
+    S = np.sqrt(variances)[:, None]
+    U = block.G[:, :, others] * np.sqrt(ratios[block.owner[others]]) / S
+    turned = U.transpose(0, 2, 1)
+    values, Q = np.linalg.eigh(turned @ U)
+    size = np.sqrt(1.0 + np.maximum(values, 0.0))
+    core = (Q * (-1.0 / (size * (1.0 + size)))[:, None, :]) @ Q.transpose(0, 2, 1)
+
+    def times(X: Array) -> Array:
+        scaled = X / S
+        return np.asarray(scaled + U @ (core @ (turned @ scaled)))
+
+    log_V = len(U) * float(np.log(variances).sum()) + 2.0 * float(np.log(size).sum())
+    return _Root(times, log_V)
 
 
 def _projected(model: LinearModel, joined: Joined, solved: _Solved) -> Projected:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -250,7 +250,8 @@ def _too_large(name: str, how: str) -> InputError:
 
 def transform(part: Part) -> NDArray[np.float64]:
     """T (4, 4) [m] of a mapping with x, y, z and qx, qy, qz, qw, with translation and rotation as
-    ROS has them, of a matrix, or of x, y, z and a rotation vector in a column, as ViSP has them.
+    ROS or OpenCV have them, of a matrix, or of x, y, z and a rotation vector in a column, as ViSP
+    has them.
 
     Raises InputError for a quaternion of no length and for a matrix that is no rigid motion.
     """
@@ -272,24 +273,69 @@ def transform(part: Part) -> NDArray[np.float64]:
         # The nearest rotation: decimals of a file leave it off by their rounding.
         whole[:3, :3] = Rotation.from_matrix(R).as_matrix()
         return whole
-    moved = part.get("translation", "position") or part
-    turned = part.get("rotation", "orientation", "quaternion") or part
-    # A bare part holds x, y, z of the translation, so that there its quaternion has other names.
-    q = [turned.part(f"q{c}", *([] if turned is part else [c])).number for c in "xyzw"]
-    if not 1e-9 < float(np.linalg.norm(q)) < 1e9:
-        raise turned.wrong("a quaternion of length 1")
+    moved, turned = part.get(*_MOVED) or part, part.get(*_TURNED) or part
     T = np.eye(4)
-    T[:3, :3] = Rotation.from_quat(q).as_matrix()
-    T[:3, 3] = [moved.part(c).number for c in "xyz"]
+    T[:3, :3] = _rotation(turned, bare=turned is part)
+    if moved is part or {*"xyz"} <= {name for name, _ in moved.items()}:
+        T[:3, 3] = [moved.part(c).number for c in "xyz"]
+    else:
+        T[:3, 3] = moved.numbers(3)
     return T
 
 
+def _rotation(part: Part, *, bare: bool) -> NDArray[np.float64]:
+    """R (3, 3) of a quaternion by names or in the order x, y, z, w, a rotation vector or a matrix.
+
+    bare: whether x, y, z of the part are those of its translation.
+    """
+    from scipy.spatial.transform import Rotation
+
+    if isinstance(part.data, list) or "data" in part:
+        values = part.numbers(3, 4, 9)
+        if len(values) == 3:
+            return np.asarray(Rotation.from_rotvec(values).as_matrix())
+        if len(values) == 9:
+            matrix = np.vstack([np.c_[np.reshape(values, (3, 3)), np.zeros(3)], np.eye(4)[3]])
+            return transform(Part([*matrix.ravel().tolist()], part.place))[:3, :3]
+        q: Sequence[float] = values
+    else:
+        q = [part.part(f"q{c}", *([] if bare else [c])).number for c in "xyzw"]
+    if not 1e-9 < float(np.linalg.norm(q)) < 1e9:
+        raise part.wrong("a quaternion of length 1")
+    return np.asarray(Rotation.from_quat(q).as_matrix())
+
+
+_MOVED = ("translation", "position", "t", "tvec", "trans", "xyz")
+_TURNED = ("rotation", "orientation", "quaternion", "R", "rvec", "rot", "quat", "q")
+
+
 def is_transform(part: Part) -> bool:
-    """Whether a mapping holds x, y, z and a quaternion, or a column of six."""
+    """Whether a part holds a place: x, y, z or a translation with a quaternion, a rotation vector
+    or a matrix, a column of six, or a matrix of a rigid motion."""
+    if _is_matrix(part):
+        try:
+            transform(part)
+        except InputError:
+            return False
+        return True
     return (
         _is_vector(part)
         or ({"x", "y", "z"} <= {n for n, _ in part.items()} and "qw" in part)
-        or ("translation" in part and "rotation" in part)
+        or (part.get(*_MOVED) is not None and part.get(*_TURNED) is not None)
+    )
+
+
+def _is_matrix(part: Part) -> bool:
+    """Whether it has the shape of a matrix of 3 or 4 rows of 4 numbers."""
+    if "data" in part:
+        size = [str(one.data) for one in map(part.get, ("rows", "cols")) if one is not None]
+        return size in (["3", "4"], ["4", "4"])
+    rows = part.data if isinstance(part.data, list) else []
+    flat = len(rows) in (12, 16) and not any(isinstance(row, dict | list) for row in rows)
+    return flat or (
+        len(rows) in (3, 4)
+        and all(isinstance(row, list) and len(row) == 4 for row in rows)
+        and not any(isinstance(cell, dict | list) for row in rows for cell in row)
     )
 
 

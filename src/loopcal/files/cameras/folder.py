@@ -21,6 +21,7 @@ from loopcal.files.cameras.corners import TAGS, is_corners, pixel_stem, read_cor
 from loopcal.files.cameras.images import ENDINGS, detect
 from loopcal.files.cameras.intrinsics import read_intrinsics
 from loopcal.files.cameras.places import TABLES, lists_poses, read_places, read_samples
+from loopcal.files.cameras.several import each_named, together
 from loopcal.files.recognition.headers import heading, words
 from loopcal.files.tables.readers import column_labels
 from loopcal.files.tables.registry import reader_of
@@ -36,6 +37,8 @@ _OF_A_LENS = ("wrong-shape", "invalid-value")
 """Codes of errors in what a file states of a lens."""
 _UNREAD = {"cameras.txt": "COLMAP", "camera.xml": "ViSP"}
 """Files of lenses that are not read, and whose they are."""
+_CLOSED = frozenset((".npy", ".npz", ".mat", ".pkl", ".pickle"))
+"""Endings of files that hold arrays of other programs, which are not read."""
 _SAME = 1e-3
 """Two descriptions of a board agree within this share of its size: printed sizes are rounded."""
 _WORDS = re.compile(r"[^a-z]+")
@@ -208,14 +211,19 @@ def read_files(
     paths = files_of(entries)
     kinds = {path: _kind(path) for path in paths}
     boards: dict[str, Board] = {}
-    lenses: dict[str, Intrinsics] = {}
+    by_file: dict[Path, Mapping[str, Intrinsics]] = {}
     poses: list[Path] = []
-    tables: list[CornerTable] = []
+    tables: list[tuple[Path, CornerTable]] = []
     remarks = [
         f"{path.name} states lenses as {_UNREAD[path.name]} does, which is not read. State them in "
         "a YAML file of OpenCV or ROS."
         for path in paths
         if path.name in _UNREAD
+    ]
+    remarks += [
+        f"{path.name} is not read. If it holds poses or corners, write it as CSV, YAML or JSON."
+        for path in paths
+        if path.suffix.lower() in _CLOSED
     ]
     stated: dict[str, str] = {}
     # A list of points says more than counts and sizes: of two descriptions it comes first.
@@ -223,10 +231,10 @@ def read_files(
         if kind == "board":
             _describe(path, read_boards(path), boards, stated, remarks)
         elif kind == "corners":
-            tables.append(read_corners(path))
+            tables.append((path, read_corners(path)))
         elif kind == "document":
             described: dict[str, Board] = {}
-            if _document(path, described, lenses, tables, remarks):
+            if _document(path, described, by_file, tables, remarks):
                 poses.append(path)
             _describe(path, described, boards, stated, remarks)
         elif kind == "poses":
@@ -234,8 +242,8 @@ def read_files(
     images = [path for path, kind in kinds.items() if kind == "image"]
     boards = boards or dict(usual)
     if alone and not boards and len(tables) == 1:
-        tables = [_each_alone(tables[0])]
-        boards = {name: Board(name, {LONE: (0.0, 0.0, 0.0)}) for name in tables[0].boards}
+        tables = [(tables[0][0], _each_alone(tables[0][1]))]
+        boards = {name: Board(name, {LONE: (0.0, 0.0, 0.0)}) for name in tables[0][1].boards}
     if not boards:
         raise InputError(
             "no file describes the board",
@@ -245,18 +253,21 @@ def read_files(
         )
     if images and not tables:
         detection = detect(images, next(iter(boards.values())))
-        tables.append(detection.corners)
+        tables.append((images[0], detection.corners))
         if detection.missed:
             remarks.append(f"no board was seen in {listed(list(detection.missed), 5)}")
-    if len(tables) != 1:
+    if not tables:
         raise InputError(
-            f"{len(tables)} files hold corners",
-            code="conflicting-keys",
-            remedy="name one of them, with a column of the camera",
+            "no file holds corners",
+            code="no-data",
+            remedy="add a table with the columns image, camera, board, point, u_px, v_px",
         )
     folders = {path.resolve().parent for path in paths}
     title = folders.pop().name if len(paths) > 1 == len(folders) else paths[0].stem
-    return Files(tables[0], boards, lenses, tuple(poses), tuple(remarks), title)
+    if len(tables) > 1:
+        remarks.append(f"{len(tables)} files hold corners, which are taken together")
+    corners = together(tables)
+    return Files(corners, boards, each_named(by_file), tuple(poses), tuple(remarks), title)
 
 
 LONE = "0"
@@ -307,16 +318,20 @@ def _describe(
 def _document(
     path: Path,
     boards: dict[str, Board],
-    lenses: dict[str, Intrinsics],
-    tables: list[CornerTable],
+    lenses: dict[Path, Mapping[str, Intrinsics]],
+    tables: list[tuple[Path, CornerTable]],
     remarks: list[str],
 ) -> bool:
     """Take what a YAML or JSON file says; whether it holds poses instead."""
     taken, unusable = 0, list[str]()
-    for read, into in ((read_intrinsics, lenses), (read_boards, boards)):
+    for read in (read_intrinsics, read_boards):
         try:
-            into.update(read(path))  # type: ignore[arg-type]
+            stated = read(path)
             taken += 1
+            if read is read_intrinsics:
+                lenses[path] = stated  # type: ignore[assignment]
+            else:
+                boards.update(stated)  # type: ignore[arg-type]
         except InputError as error:
             words = f"{error.place or path.name}: {error.message}; it is not used"
             if error.code == "unsupported":
@@ -332,7 +347,8 @@ def _document(
             continue
         return True
     try:
-        tables.append(read_corners(path))
+        tables.append((path, read_corners(path)))
     except InputError:
-        remarks += unusable
+        unread = f"{path.name}: no camera, board, pose or corner is recognised; it is not used"
+        remarks += unusable or [unread]
     return False

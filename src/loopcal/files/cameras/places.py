@@ -23,6 +23,7 @@ from loopcal.errors import InputError
 from loopcal.files.cameras.corners import split_name
 from loopcal.files.cameras.document import Part, is_transform, read_document, transform
 from loopcal.files.recognition.fields import Field, Source
+from loopcal.files.recognition.joint_sets import unit_norm
 from loopcal.files.recognition.layouts import Seen, instruments, numbered
 from loopcal.files.recognition.meanings import meanings
 from loopcal.files.recognition.sources import sources_of
@@ -105,6 +106,13 @@ def _of_document(part: Part, path: Path, name: str, depth: int = 4) -> Iterator[
         return
     if not depth:
         return
+    alone = [one for _, one in part.items() if is_transform(one)]
+    if len(alone) == 1:  # beside the name of its image
+        yield name, transform(alone[0])
+        return
+    if columns := _side_columns(part):
+        yield from columns
+        return
     listed = part.get("data", "poses")
     if listed is not None and isinstance(listed.data, list) and len(listed.data) > _LISTED:
         raise listed.wrong(f"a list of at most {_LISTED:,} poses")
@@ -112,7 +120,7 @@ def _of_document(part: Part, path: Path, name: str, depth: int = 4) -> Iterator[
     if inner is None and isinstance(part.data, list):
         inner = part.parts()
     for i, one in enumerate(inner or ()):
-        image, pose = one.get("image", "name"), one.get("pose", "transform")
+        image, pose = one.get(*_NAMES), one.get("pose", "transform")
         label = split_name(Path(image.text).name)[0] if image else str(i)
         if pose is not None and not isinstance(pose.data, dict | list):
             # The path stands relative to the file that lists it.
@@ -122,6 +130,28 @@ def _of_document(part: Part, path: Path, name: str, depth: int = 4) -> Iterator[
     if inner is None:
         for key, one in part.items():
             yield from _of_document(one, path, key, depth - 1)
+
+
+_NAMES = ("image", "name", "image_name", "file", "filename", "img", "id")
+"""How the image of a pose is named beside it."""
+_SIDE = re.compile(r"(?P<turn>R|r|rot|rotations?|rvecs?)|t|T|trans|translations?|tvecs?")
+
+
+def _side_columns(part: Part) -> list[tuple[str, Array]]:
+    """Poses of two lists side by side, R_gripper2base and t_gripper2base: counted from 0."""
+    lists: dict[bool, list[list[Part]]] = {True: [], False: []}
+    for key, one in part.items():
+        kind = _SIDE.fullmatch(key.split("_")[0])
+        if kind and isinstance(one.data, list) and any(isinstance(x, list) for x in one.data):
+            lists[kind["turn"] is not None].append(one.parts())
+    turned, moved = lists[True], lists[False]
+    if not (len(turned) == len(moved) == 1 and len(turned[0]) == len(moved[0]) > 1):
+        return []
+    pairs = zip(turned[0], moved[0], strict=True)
+    return [
+        (str(i), transform(Part({"R": R.data, "t": t.data}, R.place)))
+        for i, (R, t) in enumerate(pairs)
+    ]
 
 
 def _of_source(source: Source, path: Path) -> PlaceTable:
@@ -192,7 +222,7 @@ def _turned_about_z(source: Source) -> dict[str, Array]:
 
 def _unnamed(fields: Sequence[Field]) -> Seen | None:
     """The pose of columns without names, as programs print it: a matrix of 3 or 4 rows, or x, y, z
-    and a quaternion, with or without a number ahead."""
+    and a quaternion or three turns, with or without a number ahead."""
     if any(field_.stem for field_ in fields):
         return None
     for count in (16, 12):
@@ -200,8 +230,11 @@ def _unnamed(fields: Sequence[Field]) -> Seen | None:
         if len(fields) - count in (0, 1):
             turned = tuple(f for i, f in enumerate(some[:12]) if i % 4 != 3)
             return Seen("pose", some[3:12:4], turned, "matrix")
-    if len(fields) in (7, 8):
+    numbered = len(fields) == 7 and not unit_norm(fields[-4:])
+    if len(fields) in (7, 8) and not numbered:
         return Seen("pose", tuple(fields[-7:-4]), tuple(fields[-4:]), "quaternion")
+    if len(fields) == 6 or numbered:
+        return Seen("pose", tuple(fields[-6:-3]), tuple(fields[-3:]), "turns")
     return None
 
 

@@ -174,7 +174,10 @@ def on_another_link(
             f"the poses of the robot do not explain the images{of}: corners are "
             f"{significant(made.project.begun.rms, 2)} px off",
             code="mismatched-poses",
-            remedy="check the joints, their units and signs, the order of the rows, and which link "
+            remedy="check that each row is the pose of the flange, and the order of the rows; if "
+            "they are joints, name the robot: --urdf or --dh"
+            if "x" in made.project.hand.readings
+            else "check the joints, their units and signs, the order of the rows, and which link "
             "carries the camera or the board (--tip LINK)",
         )
     return made
