@@ -41,6 +41,7 @@ from loopcal.document.result_document import UPDATED
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.fit import Fit
+from loopcal.estimation.inherited import Inherited
 from loopcal.estimation.methods.method import Method
 from loopcal.estimation.noise.estimation import judged
 from loopcal.estimation.noise.learning import learnt_entry
@@ -49,7 +50,7 @@ from loopcal.estimation.noise.variance_components import Component, estimate_rat
 from loopcal.estimation.problem.constants import with_latest
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.problem.unknowns import Unknowns
-from loopcal.estimation.result import FitResult, Inherited
+from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.in_memory import InMemory
 from loopcal.estimation.solve.loss import Loss
 from loopcal.estimation.solve.merit import Evaluation
