@@ -7,6 +7,10 @@ import pytest
 
 import loopcal as lc
 from loopcal.measurements.averaged import averaged
+from loopcal.statistics.another_day import day_problem
+from loopcal.statistics.calibrated import Calibrated
+from loopcal.statistics.predictive import held_problem
+from loopcal.statistics.validation import Validation
 from tests.reference.simulated import arm_at, planar_arm
 
 JOINTS, POINT = 1e-3, 1e-4
@@ -14,6 +18,7 @@ JOINTS, POINT = 1e-3, 1e-4
 POSES, TIMES = 14, 3
 
 
+SDS = {"xP": POINT, "yP": POINT, "phi2": JOINTS, "phi3": JOINTS}
 ARM = planar_arm(POSES)
 NOISE = lc.Noise({"phi?": JOINTS, "?P": POINT}, estimate={"phi?": "group", "?P": "group"})
 
@@ -94,3 +99,42 @@ def test_means_keep_what_repeats_share_and_count_what_they_do_not() -> None:
     again = averaged(means, np.array([0, 0]), {"x"})
     assert again["x"].tolist() == [pytest.approx(8.0 / 3.0)]
     assert again.take([0]).counts["x"].tolist() == [3.0]
+
+
+@pytest.mark.parametrize("joint", ["phi2", "phi3"])
+def test_a_joint_at_rest_in_predicted_poses_keeps_its_noise(joint: str) -> None:
+    result = lc.calibrate(ARM.truth, ARM.read(SDS, seed=2), noise=NOISE, method="implicit-loop")
+    poses = lc.random_poses({"phi2": (-1.0, 1.0), "phi3": (-1.0, 1.0)}, 5, seed=3)
+    day = lc.simulate(ARM.truth, {**poses, joint: np.full(5, 0.3)}, noise=NOISE, seed=4).dataset
+    day = day.with_readings({joint: np.full(5, 0.3)})
+    row = list(result.mechanism.tape.quantities).index(joint)
+    held = held_problem(result, day, NOISE)
+    (learnt,) = (entry.sd for entry in result.noise if joint in entry.quantities)
+    assert learnt is not None
+    assert held.problem.uncertainty.sd[row] == pytest.approx(learnt)
+    later = day_problem(Calibrated.of(result, ""), day, None)
+    assert later.uncertainty.sd[row] == pytest.approx(learnt)
+
+
+def test_a_joint_at_rest_in_all_poses_stays_exact_in_predicted_ones() -> None:
+    rest = {"phi3": np.full(POSES, 0.3)}
+    read = ARM.read(SDS, seed=2)
+    there = np.array([read["phi2"], rest["phi3"]])
+    data = arm_at(ARM.truth, there).read({"xP": POINT, "yP": POINT}, seed=5).with_readings(rest)
+    noise = lc.Noise({"phi?": JOINTS, "?P": POINT})
+    parameters = ARM.truth.parameters.with_fixed(["phi30", "l3"])
+    machine = ARM.truth.with_parameters(parameters)
+    result = lc.calibrate(machine, data, noise=noise, method="implicit-loop")
+    row = list(result.mechanism.tape.quantities).index("phi3")
+    assert not held_problem(result, data.take([1, 2, 3]), noise).problem.uncertainty.sd[row].any()
+    moved = data.take([1, 2, 3]).with_readings({"phi3": np.full(3, 0.4)})
+    assert held_problem(result, moved, noise).problem.uncertainty.sd[row].all()
+
+
+def test_poses_that_are_never_split_count_once_in_what_regions_hold() -> None:
+    inside = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0])
+    groups = np.array([0, 1, 1, 1, 1, 2, 3])
+    whole = Validation({}, "", None, None, inside=inside, groups=groups)
+    assert whole.coverage is not None
+    assert (whole.coverage.share, whole.coverage.poses) == (0.75, 4)
+    assert Validation({}, "", None, None, inside=inside).coverage.share == pytest.approx(3.0 / 7.0)

@@ -28,6 +28,7 @@ from loopcal.estimation.result import FitResult
 from loopcal.measurements.averaged import averaged
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
+from loopcal.mechanisms.effects.backlash import directions
 from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 from loopcal.statistics.another_day import Day
 from loopcal.statistics.calibrated import Calibrated
@@ -65,9 +66,12 @@ def following(
 
 
 def _read(mechanism: Mechanism) -> set[str]:
-    """What instruments read that have means; none of images, nor of what has orientations."""
+    """What instruments read that have means; none of images, of orientations, or where it counts
+    from which side a joint came."""
     families = mechanism.families
     if mechanism.orientations or any(family.form == PIXELS for family in families):
+        return set()
+    if directions(mechanism):
         return set()
     return {*mechanism.outputs, *(q for family in families for q in family.readings)}
 
@@ -175,4 +179,9 @@ def day_as_means(
     square = _square(equations, away, each, np.ones(len(data))) / calibrated.factor
     if tail(square, freedom) <= 1.0 - LEVEL:
         return data, noise
-    return means, taken(noise, _first(groups))
+    words = (
+        f"{len(data) - len(means)} rows repeat a pose and share its error: each pose counts once, "
+        "with the mean of its readings."
+    )
+    source = replace(means.source, read_as=" ".join(filter(None, [data.source.read_as, words])))
+    return replace(means, source=source), taken(noise, _first(groups))

@@ -110,7 +110,7 @@ def verified(
         if not made.shifts.found:
             means, noise = day_as_means(calibrated, data, stated, remounted, apart=True)
             if len(means) < len(data):
-                day = Day.of(calibrated, means, noise, remounted)
+                data, day = means, Day.of(calibrated, means, noise, remounted)
                 made = _verified(day, tolerance, len(copied), repeated)
     return replace(made, read_as=data.source.read_as)
 

@@ -78,11 +78,11 @@ class Verification:
     can; faults: of the file; shifts: what moved along the run; outliers: poses
     that do not fit the others; rare: probability of an rms at least so large, if the stated
     covariance holds; copied: rows that copy others; repeated: poses of the calibration itself;
-    unlike: a sentence for each temperature or load outside the range of the calibration; read_as:
-    how other columns than those of the first day were read; sound: the answer of the calibration's
-    own verdict, None where it was not judged; flange: whether a robot states poses, and no joints,
-    so that an error of a joint is none of what is tested; files: names of result and readings, for
-    commands.
+    unlike: a sentence for each temperature or load outside the range of the calibration;
+    read_as: how other columns than those of the first day were read, and repeats; sound: the
+    answer of the calibration's own verdict, None where it was not judged; flange: whether a
+    robot states poses, and no joints, so that an error of a joint is none of what is tested;
+    files: names of result and readings, for commands.
     """
 
     __repr__ = brief

@@ -354,8 +354,11 @@ class _Search:
             # A sensor whose sd is known in part never vanishes.
             lowest = np.where(vanish & np.isinf(self.spreads), 0.0, ratios / _SLOWLY)
             variances = self._variances(present, solution, ratios, lowest, prints)
-            rest = np.where(variances.ratios > 0.0, np.maximum(variances.ratios, _LEAST), 0.0)
-            variances = replace(variances, ratios=rest)
+            bounded = (variances.ratios > 0.0) & (variances.ratios < _LEAST)
+            if bounded.any():
+                lowest = np.where(bounded, _LEAST, lowest)
+                ratios = np.maximum(ratios, lowest)
+                variances = self._variances(present, solution, ratios, lowest, prints)
             change = _change(ratios, variances.ratios)
             falling = np.zeros(len(ratios), dtype=bool) if vanish else variances.ratios <= lowest
             others = _change(ratios[~falling], variances.ratios[~falling])
@@ -391,7 +394,7 @@ class _Search:
             step = np.concatenate([_rise(ratios, variances.ratios), 2.0 * np.log(learnt / scales)])
             turns.append((np.log(began), step))
             part, last = np.exp(_mixed(turns) - step), change
-            ratios = np.maximum(variances.ratios * part[: len(ratios)], np.minimum(rest, _LEAST))
+            ratios = variances.ratios * part[: len(ratios)]
             scales = learnt * np.sqrt(part[len(ratios) :])
         return _Round(present, solution, variances, False, iterations, prints)
 
