@@ -137,4 +137,6 @@ def test_poses_that_are_never_split_count_once_in_what_regions_hold() -> None:
     whole = Validation({}, "", None, None, inside=inside, groups=groups)
     assert whole.coverage is not None
     assert (whole.coverage.share, whole.coverage.poses) == (0.75, 4)
-    assert Validation({}, "", None, None, inside=inside).coverage.share == pytest.approx(3.0 / 7.0)
+    each = Validation({}, "", None, None, inside=inside).coverage
+    assert each is not None
+    assert each.share == pytest.approx(3.0 / 7.0)
