@@ -24,7 +24,14 @@ from loopcal.estimation.cameras.motions import most_alike, motion_facts
 from loopcal.estimation.cameras.pixels import by_point
 from loopcal.estimation.cameras.placing import Reading, placed, usable_part, view_poses
 from loopcal.estimation.cameras.scale import scale_facts
-from loopcal.estimation.cameras.scene import REDESCENDING, Adjusted, Scene, adjusted, ahead
+from loopcal.estimation.cameras.scene import (
+    REDESCENDING,
+    Adjusted,
+    Scene,
+    adjusted,
+    ahead,
+    groups,
+)
 from loopcal.mechanisms.cameras.lens import LENSES, Intrinsics
 
 Squares = tuple[Array, NDArray[np.intp]]
@@ -357,8 +364,33 @@ def _adjusted(reading: Reading, rough: Adjusted, free: Sequence[str]) -> tuple[R
         placement = placed(few, poses, free, iterations=8, rig=rig)
         assert placement is not None
         result = placement
-    result = adjusted(few.corners, result.scene, free, iterations=15, loss=REDESCENDING)
+    result = adjusted(few.corners, result.scene, free, loss=REDESCENDING)
+    if (anew := _posed_anew(few, result)) is not None:
+        result = adjusted(few.corners, anew, free, loss=REDESCENDING)
     return reading, Adjusted(result.scene, result.scene.residuals(reading.corners), result.sds)
+
+
+def _posed_anew(reading: Reading, result: Adjusted) -> Scene | None:
+    """With the poses of boards whose images do not fit as their corners say, each for itself, where
+    that fits better: the adjustment gave them up on its way. None without any."""
+    corners, scene = reading.corners, result.scene
+    if scene.F is None:
+        return None
+    views, of = corners.views, corners.views.of_corner
+    d = np.hypot(*result.residuals.T)
+    count = np.bincount(of)
+    left = np.sqrt(np.bincount(of, d**2) / count)
+    poses = view_poses(replace(reading, lenses=scene.intrinsics))
+    F, group = scene.F.copy(), groups(views)
+    far = poses.usable & (left > WRONG * np.median(left))
+    for view in np.flatnonzero(far):
+        for T in poses.T_camera_board[view]:
+            tried = F.copy()
+            tried[group[view]] = np.linalg.inv(scene.X[views.camera[view]]) @ T
+            r = replace(scene, F=tried).residuals(corners)[of == view]
+            if (rms := float(np.sqrt(np.square(r).sum() / count[view]))) < left[view]:
+                F, left[view] = tried, rms
+    return None if np.array_equal(F, scene.F) else replace(scene, F=F)
 
 
 def _of_all(reading: Reading, free: Sequence[str]) -> Sequence[str]:
