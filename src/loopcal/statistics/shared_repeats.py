@@ -80,13 +80,13 @@ def _read(mechanism: Mechanism) -> set[str]:
 class Means:
     """A case and its scheme with repeats that follow each other as one reading.
 
-    groups: (N,) the pose of each row; deviations: (k, N) [SI] of its readings from those means.
+    rows: all readings; groups: (N,) the pose of each row.
     """
 
     case: Case
     scheme: Scheme | None
+    rows: Dataset
     groups: Index
-    deviations: Array
 
     @classmethod
     def of(cls, case: Case, scheme: Scheme | None) -> Means | None:
@@ -101,8 +101,7 @@ class Means:
         first = _first(groups)
         means = averaged(case.data, groups, read)
         made = replace(case, data=means, noise=taken(case.noise, first))
-        away = _deviations(case.mechanism, case.data, means, groups)
-        return cls(made, None if scheme is None else scheme.of(first), groups, away)
+        return cls(made, None if scheme is None else scheme.of(first), case.data, groups)
 
     def shared(self, whole: FitResult) -> bool:
         """Whether repeats share an error, by the fit of the means."""
@@ -112,11 +111,12 @@ class Means:
             return False
         equations, root = whole.pose_equations(), whole.solution.spectrum.root
         number = np.bincount(self.groups).astype(float)
-        square = _square(equations, self.deviations, self.groups, number)
-        rows = np.zeros(len(number))
+        away = _deviations(whole.problem.mechanism, self.rows, self.case.data, self.groups)
+        square = _square(equations, away, self.groups, number)
+        count = np.zeros(len(number))
         for block in equations:
-            rows[block.poses] = block.E.shape[1]
-        freedom = float(rows @ (number - 1.0))
+            count[block.poses] = block.E.shape[1]
+        freedom = float(count @ (number - 1.0))
         left = sum(block.E.size - float(np.square(block.D @ root).sum()) for block in equations)
         return left >= 1.0 and bool(fdtr(freedom, left, square / freedom) < LEVEL)
 

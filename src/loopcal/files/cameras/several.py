@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from os.path import commonpath
 from pathlib import Path
 
 import numpy as np
@@ -59,8 +58,8 @@ def differing(paths: Sequence[Path]) -> list[str]:
     ['left', 'right']
     """
     whole = [str(path.with_suffix("")) for path in paths]
-    front = commonpath(whole)
-    back = commonpath([name[len(front) :][::-1] for name in whole])[::-1]
+    front = _shared(whole)
+    back = _shared([name[len(front) :][::-1] for name in whole])[::-1]
     marks = "/\\_-. "
     while front and front[-1] not in marks:
         front = front[:-1]
@@ -68,6 +67,12 @@ def differing(paths: Sequence[Path]) -> list[str]:
         back = back[1:]
     names = [name[len(front) : len(name) - len(back)].strip(marks) for name in whole]
     return names if all(names) and len({*names}) == len(names) else whole
+
+
+def _shared(names: Sequence[str]) -> str:
+    """The characters that all begin with, which the first and the last in order show."""
+    first, last = min(names), max(names)
+    return "".join(a for i, a in enumerate(first) if first[: i + 1] == last[: i + 1])
 
 
 def each_named(lenses: Mapping[Path, Mapping[str, Intrinsics]]) -> dict[str, Intrinsics]:
