@@ -56,6 +56,34 @@ def test_repeats_that_share_an_error_count_as_one_reading() -> None:
     assert len(warned) == 1
 
 
+def between_poses(seed: int, times: int) -> lc.Dataset:
+    """Single poses, and the first of them read again so many times in between, by one error."""
+    rows = 3 * np.arange(POSES)
+    order = [*rows[:1], *np.ravel([[row, 0] for row in rows[1 : times + 1]]), *rows[times + 1 :]]
+    data = repeats(seed, shared=True).take(np.array(order))
+    noise = np.random.default_rng(seed + 1000).normal(0.0, POINT, (2, len(data)))
+    again = np.array([i for i, row in enumerate(order) if row == 0])
+    read = {q: np.array(data[q]) for q in ("xP", "yP")}
+    for q, drawn in zip(read, noise, strict=True):
+        read[q][again] += drawn[again]
+    return data.with_readings(read)
+
+
+def test_many_repeats_of_one_pose_in_between_count_as_one_reading() -> None:
+    squares = []
+    for seed in range(6):
+        data = between_poses(seed, 12)
+        result = lc.calibrate(ARM.truth, data, noise=NOISE, method="auto")
+        squares.append(square(result))
+        assert len(result.document.data.averaged) == 12
+    assert np.mean(squares) < 2.0
+
+
+def test_few_repeats_in_between_show_a_drift_and_stay() -> None:
+    result = lc.calibrate(ARM.truth, between_poses(1, 2), noise=NOISE, method="auto")
+    assert not result.document.data.averaged
+
+
 def test_repeats_that_err_for_themselves_count_each() -> None:
     squares = []
     for seed in range(6):

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from loopcal.document.accuracy import Distances
 from loopcal.document.change_points import Likeness
 from loopcal.document.fit import ChiSquared
 from loopcal.document.plain import Count, Size
+from loopcal.presentation.shown import by_sd, shortened, size, unit_shown
 
 # Two-sided 3.29 of the normal distribution (record 0047).
 BEATEN = 3.3
@@ -144,3 +146,35 @@ class TermEntry:
         if self.gain is None or self.gain < DECISIVE:
             return ()
         return tuple(part.words for part in self.parts if part.clear)[:_MOST]
+
+
+def comparison(over: Sequence[Candidate], unit: str, better: Sequence[str]) -> str:
+    """What was chosen, over what, by how much with paired standard errors.
+
+    better: the names of those of less risk, but not significantly.
+    """
+    taken, *others = over
+    if taken.out_of_sample is None:
+        return f"{taken.name}, which predicts poses not used best or as well as any"
+    shown = unit_shown(unit)
+    words = f"{taken.name}: {size(taken.out_of_sample.rms, unit)} {shown} rms on poses not used"
+    if taken.blocked is not None:
+        words += f", {size(taken.blocked.rms, unit)} {shown} in regions not used"
+    least = 0.02 * taken.out_of_sample.rms  # finer digits tell nobody anything
+    beaten = [
+        f"{one.name} {by_sd(one.difference, max(one.sd, least), unit, sign=True)} ± "
+        f"{by_sd(one.sd, max(one.sd, least), unit)}"
+        for one in others
+        if one.difference is not None and one.sd is not None
+    ]
+    if beaten:
+        words += f"; rms of the others minus this: {', '.join(beaten)} {shown}"
+    out: dict[str, list[str]] = {}
+    for one in others:
+        if one.out_of_sample is None:
+            out.setdefault(one.failed or "", []).append(one.name)
+    for why, names in out.items():
+        words += f"; discarded: {', '.join(names)}" + (f" ({shortened(why, 80)})" if why else "")
+    if better:
+        words += f"; {' and '.join(better)} not significantly better"
+    return words

@@ -28,13 +28,13 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from loopcal.arrays import Array
 from loopcal.document.change_points import NOT_SEARCHED
-from loopcal.document.choice import Candidate, Chosen
+from loopcal.document.choice import Candidate, Chosen, comparison
 from loopcal.estimation.dependence.dependence import likenesses
 from loopcal.estimation.plausible import CODE as CONTRADICTED
 from loopcal.estimation.result import FitResult
@@ -42,7 +42,6 @@ from loopcal.estimation.solve.scratch import one_blas_thread, release_memory, re
 from loopcal.estimation.solve.solver import Progress as Iterated
 from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.execution.forked import helping, process_cores
-from loopcal.presentation.shown import by_sd, shortened, size, unit_shown
 from loopcal.statistics.case import Case, Entrant, entrants
 from loopcal.statistics.changes import CERTAIN, Changes, changes, unchanged
 from loopcal.statistics.folds import Index, Scheme, grouped, stated_sds
@@ -138,12 +137,12 @@ def choose(
             words = f"{entrant.name}; nothing was compared: the file is at fault"
             return Choice(_chosen(case, whole, Chosen(entrant.name, (), words, ())), None)
     case = replace(case, trusted=True)
-    means = Means.of(case, scheme)
-    if means is not None and (of_means := _shared(means, iterated)) is not None:
-        case, scheme, waiting = means.case, means.scheme, [*entrants(means.case)]
-        judged, run_changes = of_means
-    else:
-        judged, run_changes = _searched(case, judged, waiting, iterated)
+    means = None
+    for apart in (False, True):
+        rows = (means.case, means.scheme) if means else (case, scheme)
+        means = _of_means(*rows, iterated, apart=apart) or means
+    begins = means or _Begun(case, scheme, waiting, *_searched(case, judged, waiting, iterated))
+    case, scheme, waiting, judged, run_changes = begins
     other = scheme if scheme and scheme.other is not None else None
 
     def compared(judged: Sequence[Judged], waiting: Sequence[Entrant]) -> _Compared:
@@ -276,11 +275,28 @@ def _searched(
     return judged, run_changes or unchanged(case)
 
 
-def _shared(means: Means, iterated: Iterated | None) -> tuple[list[Judged], Changes] | None:
-    """As `_searched`, of repeats as one reading; None unless they share an error."""
-    made = _searched(means.case, [], [*entrants(means.case)], iterated)
+class _Begun(NamedTuple):
+    """A case with its candidates: those that were fitted to see what happened, and all."""
+
+    case: Case
+    scheme: Scheme | None
+    waiting: list[Entrant]
+    judged: list[Judged]
+    run_changes: Changes
+
+
+def _of_means(
+    case: Case, scheme: Scheme | None, iterated: Iterated | None, *, apart: bool
+) -> _Begun | None:
+    """With repeats as one reading; None unless they share an error."""
+    means = Means.of(case, scheme, apart=apart)
+    if means is None:
+        return None
+    waiting = [*entrants(means.case)]
+    made = _searched(means.case, [], waiting, iterated)
     best = closest(made[0])
-    return made if best and best.whole and means.shared(best.whole) else None
+    shared = best is not None and best.whole is not None and means.shared(best.whole)
+    return _Begun(means.case, means.scheme, waiting, *made) if shared else None
 
 
 def _changes(case: Case, by: Judged, level: float = CERTAIN) -> Changes | None:
@@ -476,7 +492,7 @@ def _choice(
         for one in judged
         if one.made and mean_risk(risks[one.name]) < mean_risk(risks[taken.name])
     ]
-    words = _words(over, "" if best is None else best.unit, better)
+    words = comparison(over, "" if best is None else best.unit, better)
     return taken, Chosen(taken.name, _terms(taken), words, tuple(over)), validations[taken.name]
 
 
@@ -553,35 +569,3 @@ def _candidate(one: Judged, validation: Validation | None, gain: Gain | None) ->
         difference=None if gain is None else gain.difference,
         sd=None if gain is None else gain.sd,
     )
-
-
-def _words(over: Sequence[Candidate], unit: str, better: Sequence[str]) -> str:
-    """What was chosen, over what, by how much with paired standard errors.
-
-    better: the names of those of less risk, but not significantly.
-    """
-    taken, *others = over
-    if taken.out_of_sample is None:
-        return f"{taken.name}, which predicts poses not used best or as well as any"
-    shown = unit_shown(unit)
-    words = f"{taken.name}: {size(taken.out_of_sample.rms, unit)} {shown} rms on poses not used"
-    if taken.blocked is not None:
-        words += f", {size(taken.blocked.rms, unit)} {shown} in regions not used"
-    least = 0.02 * taken.out_of_sample.rms  # finer digits tell nobody anything
-    beaten = [
-        f"{one.name} {by_sd(one.difference, max(one.sd, least), unit, sign=True)} ± "
-        f"{by_sd(one.sd, max(one.sd, least), unit)}"
-        for one in others
-        if one.difference is not None and one.sd is not None
-    ]
-    if beaten:
-        words += f"; rms of the others minus this: {', '.join(beaten)} {shown}"
-    out: dict[str, list[str]] = {}
-    for one in others:
-        if one.out_of_sample is None:
-            out.setdefault(one.failed or "", []).append(one.name)
-    for why, names in out.items():
-        words += f"; discarded: {', '.join(names)}" + (f" ({shortened(why, 80)})" if why else "")
-    if better:
-        words += f"; {' and '.join(better)} not significantly better"
-    return words

@@ -38,31 +38,40 @@ from loopcal.statistics.folds import Index, Scheme, grouped, repeated, stated_sd
 # Chosen, not derived: of a thousand sets whose repeats err for themselves, one is averaged.
 LEVEL = 1e-3
 """Repeats share an error where chance explains how well they agree with less probability."""
+# Chosen, not derived: a pose that is read again at the middle and at the end shows a drift.
+MANY = 0.25
+"""Share of the rows from which on repeats that are apart hide how much poses err."""
 # Chosen, not derived: an angle that jumps by a turn, or a sign that changes, has no mean.
 _FAR = 0.1
 """Repeats of a reading lie within this share of its span."""
 
 
-def following(
+def same_poses(
     mechanism: Mechanism, data: Dataset, noise: Noise | None, within: Index | None = None
 ) -> Index:
-    """A number for each pose (N,), equal for repeats that follow each other.
+    """A number for each row (N,), equal for repeats of a pose, in the order of their first ones.
 
-    Repeats apart in time show what happened in between. within: of poses that are not to be joined,
-    such as those of two sessions.
+    Repeats have the same loads and temperatures, and readings of the same instruments. within: of
+    rows that are not to be joined, such as those of two sessions.
     """
-    groups = repeated(mechanism, data, stated_sds(noise, mechanism, data))
-    anew = np.ones(len(groups), dtype=bool)
-    anew[1:] = groups[1:] != groups[:-1]
-    if within is not None:
-        anew[1:] |= within[1:] != within[:-1]
+    keys = [repeated(mechanism, data, stated_sds(noise, mechanism, data))]
+    keys += [] if within is None else [within]
     times = {q for q, si in mechanism.pose_constants.items() if si == "s" or q in mechanism.latest}
     for q in ({*_read(mechanism), *mechanism.pose_constants} - times) & {*data.readings}:
-        values = data.readings[q]
-        gaps = np.isnan(values)
-        near = _FAR * float(np.ptp(values[~gaps])) if not gaps.all() else 0.0
-        anew[1:] |= (np.abs(np.diff(values)) > near) | (gaps[1:] != gaps[:-1])
-    return np.cumsum(anew) - 1
+        values, gaps = data.readings[q], np.isnan(data.readings[q])
+        keys.append(gaps.astype(np.intp))
+        span = float(np.ptp(values[~gaps])) if not gaps.all() else 0.0
+        if span > 0.0:
+            first = _first(keys[0])[keys[0]]
+            steps = (np.nan_to_num(values) - np.nan_to_num(values[first])) / (_FAR * span)
+            keys.append(np.rint(0.5 * steps).astype(np.intp))
+    _, first, of = np.unique(np.array(keys), axis=1, return_index=True, return_inverse=True)
+    return np.asarray(np.argsort(np.argsort(first))[of.ravel()], dtype=np.intp)
+
+
+def following(groups: Index) -> Index:
+    """Of groups (N,) only rows that follow each other: repeats apart show what happened between."""
+    return np.cumsum(np.diff(groups, prepend=groups[0]) != 0)
 
 
 def _read(mechanism: Mechanism) -> set[str]:
@@ -78,7 +87,7 @@ def _read(mechanism: Mechanism) -> set[str]:
 
 @dataclass(frozen=True, eq=False)
 class Means:
-    """A case and its scheme with repeats that follow each other as one reading.
+    """A case and its scheme with repeats of a pose as one reading.
 
     rows: all readings; groups: (N,) the pose of each row.
     """
@@ -89,14 +98,19 @@ class Means:
     groups: Index
 
     @classmethod
-    def of(cls, case: Case, scheme: Scheme | None) -> Means | None:
-        """None of a case without repeats that follow each other, or whose rows copy others."""
+    def of(cls, case: Case, scheme: Scheme | None, *, apart: bool) -> Means | None:
+        """None of a case without such repeats, or whose rows copy others.
+
+        apart: also those that do not follow each other, where they are many.
+        """
         read, stated = _read(case.mechanism), None if scheme is None else scheme.groups
         if not read or case.copied.size:
             return None
         within = None if stated is None else grouped(case.mechanism, case.data, stated)
-        groups = following(case.mechanism, case.data, case.noise, within)
-        if groups[-1] + 1 == len(groups):
+        groups = same_poses(case.mechanism, case.data, case.noise, within)
+        groups = groups if apart else following(groups)
+        again = len(groups) - int(groups.max()) - 1
+        if not again or (apart and again < MANY * len(groups)):
             return None
         first = _first(groups)
         means = averaged(case.data, groups, read)
@@ -161,13 +175,12 @@ def day_as_means(
 
     apart: also those that do not follow each other, of a day on which nothing moved.
     """
-    mechanism = calibrated.mechanism
-    read, groups = _read(mechanism), np.arange(len(data))
-    if read and apart:
-        groups = repeated(mechanism, data, stated_sds(noise, mechanism, data))
-    elif read:
-        groups = following(mechanism, data, noise)
-    if len(np.unique(groups)) == len(groups):
+    mechanism, read = calibrated.mechanism, _read(calibrated.mechanism)
+    if not read:
+        return data, noise
+    groups = same_poses(mechanism, data, noise)
+    groups = groups if apart else following(groups)
+    if groups.max() + 1 == len(groups):
         return data, noise
     means = averaged(data, groups, read)
     placed = Day.of(calibrated, data, noise, remounted).placed()
