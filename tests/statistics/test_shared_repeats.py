@@ -52,7 +52,7 @@ def test_repeats_that_share_an_error_count_as_one_reading() -> None:
         squares.append(square(result))
     # 4.3 where each repeat counts for itself; the mean of ten has an sd of about 0.2
     assert np.mean(squares) < 1.6
-    warned = [w for w in result.document.data.warnings() if "repeat the pose before" in w]
+    warned = [w for w in result.document.data.warnings() if "repeat an earlier pose" in w]
     assert len(warned) == 1
 
 

@@ -172,6 +172,14 @@ def test_a_smooth_error_that_the_images_show_is_named_and_stays_sound() -> None:
     assert verdict_of(found(11.0)).sound.passed
 
 
+def test_repeats_that_count_once_are_told_and_stay_sound() -> None:
+    data = replace(clean().data, averaged=("2", "3"))
+    named = {one.code: one for one in findings_of(replace(clean(), data=data))}
+    assert named["repeats-averaged"].words.startswith("2 rows repeat an earlier pose")
+    assert verdict_of(replace(clean(), data=data)).sound.passed
+    assert "repeats-averaged" not in [one.code for one in findings_of(clean())]
+
+
 def test_halves_of_the_images_may_differ_by_three_sds_in_the_focal_length() -> None:
     def codes(*halves: HalvesEntry) -> list[str]:
         return [one.code for one in findings_of(replace(clean(), halves=halves))]

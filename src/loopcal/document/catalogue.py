@@ -346,6 +346,11 @@ _ROWS = (
     ),
     _sound("sound", "The fit converged; sensors, poses and machine model are consistent."),
     LENS_LEAVES,
+    _sound(
+        "repeats-averaged",
+        "{repeats} an earlier pose, with its error: each pose counts once, with the mean of its "
+        "readings.",
+    ),
     _sound("model-learnt", "The model has learnt: {effects}."),
     _sound(
         "scale-little-off",

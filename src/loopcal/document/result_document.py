@@ -124,8 +124,8 @@ class DataEntry:
         if number := len(self.averaged):
             rows = f"{number} rows repeat" if number > 1 else "1 row repeats"
             lines.append(
-                f"{rows} the pose before (pose {_first(self.averaged)}). Repeats agree better than "
-                "independent errors would: each such pose counts once, with the mean of its "
+                f"{rows} an earlier pose (pose {_first(self.averaged)}) and agree better with it "
+                "than independent errors would: each pose counts once, with the mean of its "
                 "readings."
             )
         if number := len(self.discarded):

@@ -60,9 +60,9 @@ class Readings:
         return cls(document.data, faults, outliers, document.outlier_tests)
 
     def facts(self) -> list[Fact]:
-        """Faults of the file, outliers, copies and coarse digits, where there are any."""
-        stated = (self._column_fault(), self._outliers(), self._rows_copied(), self._coarse())
-        return [one for one in stated if one is not None]
+        """Faults of the file, outliers, copies, coarse digits and repeats, where there are any."""
+        rows = self._rows_copied(), self._coarse(), self._averaged()
+        return [one for one in (self._column_fault(), self._outliers(), *rows) if one is not None]
 
     def _column_fault(self) -> Fact | None:
         words = "; ".join(fault.words for fault in self.faults)
@@ -115,6 +115,12 @@ class Readings:
         if not copied:
             return None
         return fact("rows-copied", numbers={"rows": len(copied)}, copied=self.data.warnings()[0])
+
+    def _averaged(self) -> Fact | None:
+        """Repeats that share an error."""
+        count = len(self.data.averaged)
+        words = f"{count} rows repeat" if count > 1 else "1 row repeats"
+        return fact("repeats-averaged", numbers={"rows": count}, repeats=words) if count else None
 
     def _coarse(self) -> Fact | None:
         """Readings recorded in steps that are not small against their sds."""
