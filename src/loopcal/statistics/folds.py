@@ -35,6 +35,11 @@ NOISY, MOST = 4.0, 0.01
 """The same holds for a difference of so many sds, but at most of this share of the range."""
 
 
+# Chosen, not derived: a log of a machine at rest has as many neighbours of each pose as poses.
+_AT_ONCE = 64
+"""Poses whose neighbours are sought together."""
+
+
 class SchemeOptions(TypedDict, total=False):
     """The fields of `Scheme` as keyword arguments."""
 
@@ -171,12 +176,14 @@ def repeated(mechanism: Mechanism, data: Dataset, sds: Mapping[str, float] | Non
     # the first pose of a group is its centre: dense paths are cut, not chained into one
     group = np.full(len(data), -1, dtype=np.intp)
     # In units of `near` the same pose is a cube of half width 1, the ball of the maximum norm.
-    near_by = KDTree(np.column_stack(moving)).query_ball_point(
-        np.column_stack(moving), 1.0, p=np.inf
-    )
-    for i, others in enumerate(near_by):
-        if group[i] < 0:
-            group[[j for j in others if group[j] < 0]] = i
+    points = np.column_stack(moving)
+    tree = KDTree(points)
+    for begin in range(0, len(data), _AT_ONCE):
+        centres = begin + np.flatnonzero(group[begin : begin + _AT_ONCE] < 0)
+        near_by = tree.query_ball_point(points[centres], 1.0, p=np.inf)
+        for i, others in zip(centres, near_by, strict=True):
+            if group[i] < 0:
+                group[[j for j in others if group[j] < 0]] = i
     return np.unique(group, return_inverse=True)[1]
 
 
