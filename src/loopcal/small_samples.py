@@ -99,7 +99,7 @@ class LearntCovariance:
         return LearntCovariance(self.matrix + part, self.plain + part, slopes)
 
     def besides(self, part: Array, spread: float) -> LearntCovariance:
-        """With this part in `matrix` alone, along a last slope of its own: `less` leaves it out."""
+        """Add a part to `matrix` alone, with its own last slope. `less` removes it again."""
         slopes = np.concatenate([self.slopes, spread * part[None]])
         return LearntCovariance(self.matrix + part, self.plain, slopes)
 

@@ -118,7 +118,7 @@ def test_means_keep_what_repeats_share_and_count_what_they_do_not() -> None:
     data = lc.Dataset.from_arrays(
         {"q": [0.1, 0.1, 0.1, 0.2], "x": [1.0, 2.0, np.nan, 5.0]}, sds={"x": [1.0, 1.0, 1.0, 2.0]}
     )
-    means = averaged(data, np.array([0, 0, 0, 1]), {"x"})
+    means = averaged(data, np.array([0, 0, 0, 1]), {"x", "y of an instrument that was not used"})
     assert means.poses == ("1", "4")
     assert means["q"].tolist() == [0.1, 0.2]
     assert means["x"].tolist() == [1.5, 5.0]

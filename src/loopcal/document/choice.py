@@ -160,7 +160,7 @@ def comparison(over: Sequence[Candidate], unit: str, better: Sequence[str]) -> s
     words = f"{taken.name}: {size(taken.out_of_sample.rms, unit)} {shown} rms on poses not used"
     if taken.blocked is not None:
         words += f", {size(taken.blocked.rms, unit)} {shown} in regions not used"
-    least = 0.02 * taken.out_of_sample.rms  # finer digits tell nobody anything
+    least = 0.02 * taken.out_of_sample.rms  # finer digits are noise
     beaten = [
         f"{one.name} {by_sd(one.difference, max(one.sd, least), unit, sign=True)} ± "
         f"{by_sd(one.sd, max(one.sd, least), unit)}"

@@ -29,7 +29,8 @@ def averaged(data: Dataset, groups: NDArray[np.intp], read: Collection[str]) -> 
         alike = np.bincount(of, values != values[first][of]) == 0
         return np.asarray(np.where(alike, values[first], means))
 
-    counts = {q: data.counts.get(q, single) * np.isfinite(data.readings[q]) for q in read}
+    independent = {*read} & {*data.readings}
+    counts = {q: data.counts.get(q, single) * np.isfinite(data.readings[q]) for q in independent}
     gone = tuple(data.poses[i] for i in np.setdiff1d(np.arange(len(data)), first))
     source = replace(
         data.source,

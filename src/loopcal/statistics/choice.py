@@ -137,11 +137,9 @@ def choose(
             words = f"{entrant.name}; nothing was compared: the file is at fault"
             return Choice(_chosen(case, whole, Chosen(entrant.name, (), words, ())), None)
     case = replace(case, trusted=True)
-    means = None
-    for apart in (False, True):
-        rows = (means.case, means.scheme) if means else (case, scheme)
-        means = _of_means(*rows, iterated, apart=apart) or means
-    begins = means or _Begun(case, scheme, waiting, *_searched(case, judged, waiting, iterated))
+    begins = _of_means(case, scheme, iterated)
+    if begins is None:
+        begins = _Begun(case, scheme, waiting, *_searched(case, judged, waiting, iterated))
     case, scheme, waiting, judged, run_changes = begins
     other = scheme if scheme and scheme.other is not None else None
 
@@ -285,18 +283,16 @@ class _Begun(NamedTuple):
     run_changes: Changes
 
 
-def _of_means(
-    case: Case, scheme: Scheme | None, iterated: Iterated | None, *, apart: bool
-) -> _Begun | None:
-    """With repeats as one reading; None unless they share an error."""
-    means = Means.of(case, scheme, apart=apart)
-    if means is None:
-        return None
-    waiting = [*entrants(means.case)]
-    made = _searched(means.case, [], waiting, iterated)
-    best = closest(made[0])
-    shared = best is not None and best.whole is not None and means.shared(best.whole)
-    return _Begun(means.case, means.scheme, waiting, *made) if shared else None
+def _of_means(case: Case, scheme: Scheme | None, iterated: Iterated | None) -> _Begun | None:
+    """With repeats as one reading; None where none share an error."""
+    for means in Means.each(case, scheme):
+        waiting = [*entrants(means.case)]
+        made = _searched(means.case, [], waiting, iterated)
+        best = closest(made[0])
+        if best is not None and best.whole is not None and means.shared(best.whole):
+            further = _of_means(means.case, means.scheme, iterated)
+            return further or _Begun(means.case, means.scheme, waiting, *made)
+    return None
 
 
 def _changes(case: Case, by: Judged, level: float = CERTAIN) -> Changes | None:

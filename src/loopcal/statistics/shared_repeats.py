@@ -2,10 +2,10 @@
 
 A machine that returns to a pose repeats most of its error there: that of a joint's reading, of its
 gears, and of what the model lacks. Repeats then scatter by the instrument alone, and many of them
-say no more of the machine than one. Whether they do is asked as lack of fit is (Fisher 1922; Draper
-and Smith 1998, chapter 2). A fit of the means of the poses g, n_g repeats each, whitens their
-equations, r of each pose, by X. Did each repeat err for itself, the variance of one would be n_g
-times that of the mean, and of its deviation d_gi [SI] from the mean readings
+say no more of the machine than one. The test is that of lack of fit (Fisher 1922; Draper and Smith
+1998, chapter 2). A fit of the means of the poses g, n_g repeats each, whitens their
+equations, r of each pose, by X. If each repeat erred for itself, the variance of one would be n_g
+times that of the mean. Of its deviation d_gi [SI] from the mean readings
 
     S = sum_gi |X_g d_gi|^2 / n_g,   f = r sum_g (n_g - 1),
 
@@ -16,7 +16,7 @@ without n_g would be chi-squared.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -98,24 +98,22 @@ class Means:
     groups: Index
 
     @classmethod
-    def of(cls, case: Case, scheme: Scheme | None, *, apart: bool) -> Means | None:
-        """None of a case without such repeats, or whose rows copy others.
-
-        apart: also those that do not follow each other, where they are many.
-        """
+    def each(cls, case: Case, scheme: Scheme | None) -> Iterator[Means]:
+        """Repeats that follow each other, then also those that do not, where they are many; none of
+        a case whose rows copy others."""
         read, stated = _read(case.mechanism), None if scheme is None else scheme.groups
         if not read or case.copied.size:
-            return None
+            return
         within = None if stated is None else grouped(case.mechanism, case.data, stated)
-        groups = same_poses(case.mechanism, case.data, case.noise, within)
-        groups = groups if apart else following(groups)
-        again = len(groups) - int(groups.max()) - 1
-        if not again or (apart and again < MANY * len(groups)):
-            return None
-        first = _first(groups)
-        means = averaged(case.data, groups, read)
-        made = replace(case, data=means, noise=taken(case.noise, first))
-        return cls(made, None if scheme is None else scheme.of(first), case.data, groups)
+        poses = same_poses(case.mechanism, case.data, case.noise, within)
+        near = following(poses)
+        again = len(poses) - int(poses.max()) - 1
+        many = again >= MANY * len(poses) and poses.max() < near.max()
+        for groups in [*([near] if near.max() + 1 < len(near) else []), *([poses] if many else [])]:
+            first = _first(groups)
+            means = averaged(case.data, groups, read)
+            made = replace(case, data=means, noise=taken(case.noise, first))
+            yield cls(made, None if scheme is None else scheme.of(first), case.data, groups)
 
     def shared(self, whole: FitResult) -> bool:
         """Whether repeats share an error, by the fit of the means."""
@@ -185,8 +183,11 @@ def day_as_means(
     means = averaged(data, groups, read)
     placed = Day.of(calibrated, data, noise, remounted).placed()
     equations = pose_equations(placed.problem, placed.parameters, placed.corrections)
-    rows = np.concatenate([np.repeat(block.poses, block.E.shape[1]) for block in equations])
-    freedom = len(rows) - len(rows) * len(means) // len(data)
+    count = np.zeros(len(data), dtype=np.intp)
+    for block in equations:
+        count[block.poses] = block.E.shape[1]
+    first = _first(groups)
+    freedom = int(count.sum() - count[first].sum())
     away = _deviations(placed.problem.mechanism, data, means, groups)
     each = np.arange(len(data))
     square = _square(equations, away, each, np.ones(len(data))) / calibrated.factor
@@ -197,4 +198,4 @@ def day_as_means(
         "with the mean of its readings."
     )
     source = replace(means.source, read_as=" ".join(filter(None, [data.source.read_as, words])))
-    return replace(means, source=source), taken(noise, _first(groups))
+    return replace(means, source=source), taken(noise, first)
