@@ -2,8 +2,8 @@
 
 The sums over all poses less those of the poses that are left out, both linearised where the fit of
 all ended, give what is learnt of the rest and one Gauss-Newton step, exact where the loops are
-linear. One sweep over the rest gives a second step and shows what a third would leave. Where that
-would still be seen, the rest has to be fitted.
+linear. Each sweep over the rest gives another step and shows what one more would leave. Where few
+of them do not end what can be seen, the rest has to be fitted.
 """
 
 from __future__ import annotations
@@ -38,6 +38,9 @@ _NEARBY = 0.3
 """A second step of the sensors' sds would change logarithms of variances by the square of what the
 first one did: less than `loopcal.estimation.noise.estimation.NEARBY`, at which their search ends.
 Those of terms have no step: the sums say them."""
+# Chosen, not derived: so many sweeps cost less than half of a fit.
+_STEPS = 4
+"""Sweeps over the rest until it must be fitted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,46 +225,57 @@ class _Learnt:
 
 
 def settled(whole: FitResult, begun: Beginning, index: Index, tolerance: float) -> Array | None:
-    """Parameters (n_all,) where the fit of the rest ends, a second step on; None where a third
+    """Parameters (n_all,) where the fit of the rest ends, some steps on; None where a further one
     would move any combination of them by more than so many of its sds, or what is learnt.
 
     index: positions of the poses that are left out.
     """
     problem, before = begun.problem, whole.solution.corrections
+    if not begun.near:
+        return None
     others = np.setdiff1d(np.arange(before.shape[1]), index)
+    unknowns, n, sweeper = problem.unknowns, len(problem.free), Sweeper(problem)
+    parameters, corrections, last = begun.parameters, before[:, others], begun.decrement
     with one_blas_thread():
-        try:
-            at = Sweeper(problem).sweep(begun.parameters, before[:, others], closing=NEAR)
-        except InputError:
-            return None
-        if not (begun.near and at.finite) or at.late or at.singular:
-            return None
-        unknowns = problem.unknowns
-        system = spectrum(at.data, unknowns.offset(begun.parameters), unknowns.prior_sd)
-        if not system.well_conditioned and system.rank < len(problem.free):
-            return None  # an open direction would rest where all poses have put it
-        # Convergence is linear, as in `loopcal.estimation.solve.solver`. That allows so many sds in
-        # each of n directions; a single prediction may depend on one of them.
-        n, merit = len(problem.free), at.cost + unknowns.prior_square(begun.parameters)
-        rate = min(system.decrement / max(begun.decrement, 1e-300), 1.0)
-        variance = merit / max(at.equations - n, 1)
-        if not rate * system.decrement <= tolerance**2 * variance:
-            return None
-        estimate = whole.estimate if problem.mechanism.learnt_terms else None
-        if estimate is not None and not _terms_stay(estimate, begun, at):
-            return None
-        return unknowns.moved(begun.parameters, system.step())
+        for step in range(_STEPS):
+            try:
+                at = sweeper.sweep(parameters, corrections, closing=NEAR)
+            except InputError:
+                return None
+            if not at.finite or at.late or at.singular:
+                return None
+            system = spectrum(at.data, unknowns.offset(parameters), unknowns.prior_sd)
+            if not system.well_conditioned and system.rank < n:
+                return None  # an open direction would rest where all poses have put it
+            # Convergence is linear, as in `loopcal.estimation.solve.solver`, which allows so many
+            # sds in each of n directions. What the first step removed is what the poses left out
+            # had said, which tells nothing of the rate: then all may lie in one direction.
+            merit = at.cost + unknowns.prior_square(parameters)
+            rate = min(system.decrement / max(last, 1e-300), 1.0)
+            directions = n if step else 1
+            enough = directions * tolerance**2 * merit / max(at.equations - n, 1)
+            after = unknowns.moved(parameters, system.step())
+            if rate * system.decrement <= enough:
+                estimate = whole.estimate if problem.mechanism.learnt_terms else None
+                stay = estimate is None or _terms_stay(estimate, begun, parameters, at)
+                return after if stay else None
+            if step and rate**2 * system.decrement > enough:
+                return None
+            parameters, corrections, last = after, at.proposal, system.decrement
+    return None
 
 
-def _terms_stay(estimate: NoiseEstimate, begun: Beginning, at: Evaluation[Array]) -> bool:
-    """Whether the rest, linearised where its fit begins, says the same of its terms as before."""
+def _terms_stay(
+    estimate: NoiseEstimate, begun: Beginning, parameters: Array, at: Evaluation[Array]
+) -> bool:
+    """Whether the rest, linearised at these parameters, says the same of its terms as before."""
     from loopcal.estimation.noise.estimation import NEARBY
     from loopcal.estimation.noise.term_scales import Sums
     from loopcal.estimation.noise.variances import all_learnt, learnt_terms, scales_of
 
     problem, sums = begun.problem, Sums(at.data.total, False, at.equations)
     common = all_learnt(problem, [component.quantities for component in estimate.stated])
-    offset = problem.unknowns.offset(begun.parameters)
+    offset = problem.unknowns.offset(parameters)
     scales = learnt_terms(problem, sums, offset, common=common).scales
     # As the last round of a fit that begins near.
     return 2.0 * float(np.abs(np.log(scales / scales_of(problem))).max(initial=0.0)) <= NEARBY

@@ -81,6 +81,7 @@ from loopcal.statistics.validation import (
     left_out,
     planned,
     pooled,
+    refitted,
     validated,
 )
 
@@ -358,13 +359,10 @@ def _refitted(
         if all(one.entrant.drawn for one in made):
             break
         taken = _taken(made, {one.name: risk_of(one, plan, poses) for one in made}, plan)
-        steps = [i for i, p in enumerate(taken.made) if isinstance(p, Predicted) and p.stepped]
+        steps = any(isinstance(part, Predicted) and part.near for part in taken.made)
         if not steps or taken.whole is None:
             break
-        fitted_case = taken.entrant.case, taken.whole
-        (refits,) = left_out([fitted_case], [taken.made[i].index for i in steps], executor)
-        by_position = dict(zip(steps, refits, strict=True))
-        parts = tuple(by_position.get(i, part) for i, part in enumerate(taken.made))
+        parts = tuple(refitted(taken.entrant.case, taken.whole, taken.made, executor))
         judged = [replace(one, made=parts) if one is taken else one for one in judged]
     return judged
 

@@ -98,16 +98,24 @@ class Findings:
         return "\n".join(lines + [str(optimum) for optimum in self.optima])
 
 
-def findings(result: FitResult, region: Mapping[str, Span] | None = None) -> Findings:
+Search = Callable[[FitResult], Any]
+
+
+def findings(
+    result: FitResult, region: Mapping[str, Span] | None = None, beside: Search | None = None
+) -> Findings:
     """Everything that follows from the result's parameter system.
 
-    region: quantity -> range [SI] in which the machine works, where not its joints' limits.
+    region: quantity -> range [SI] in which the machine works, where not its joints' limits; beside:
+    what is computed of the result beside the searches, by this process.
     """
     solution = result.solution
     with one_blas_thread():
         prediction = predictor(result)
-        searches: tuple[Callable[[FitResult], Any], ...] = (_shifts, find_columns, find_poses)
-        shifts, columns, outliers = gathered(process_cores(), _searched, result, searches)
+        searches: tuple[Search, ...] = (_shifts, find_columns, find_poses)
+        if beside is not None:
+            searches = (beside, *searches)  # whoever asks does the first piece
+        *_, shifts, columns, outliers = gathered(process_cores(), _searched, result, searches)
         if columns:  # a file that is at fault as a whole says nothing of single poses
             outliers, shifts = of_file(columns), NOT_SEARCHED
         parts = result.parts
@@ -140,7 +148,7 @@ def findings(result: FitResult, region: Mapping[str, Span] | None = None) -> Fin
         )
 
 
-def _searched(result: FitResult, search: Callable[[FitResult], Any]) -> Any:
+def _searched(result: FitResult, search: Search) -> Any:
     return search(result)
 
 

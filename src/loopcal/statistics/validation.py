@@ -221,7 +221,7 @@ def left_out(
 
     fitted: cases with their calibrations of all poses; executor: by default the cores of this
     process; anew: whether the readings of the part say where its instrument stands; stepped:
-    whether two steps from the fit of all will do where they end the fit (record 0061).
+    whether steps from the fit of all will do where they end the fit (record 0061).
     """
     begun = [replace(_Begun.at(case, whole), anew=anew, stepped=stepped) for case, whole in fitted]
     for one in begun:
@@ -229,6 +229,17 @@ def left_out(
     pieces = [(which, index) for which in range(len(begun)) for index in indices]
     made = gathered(executor or process_cores(), _left_out, begun, pieces, progress)
     return [made[i * len(indices) : (i + 1) * len(indices)] for i in range(len(begun))]
+
+
+def refitted(
+    case: Case, whole: FitResult, made: Sequence[Outcome], executor: Executor | None = None
+) -> list[Outcome]:
+    """The same parts, each that steps predicted by a fit that begins where these ended."""
+    begun = _Begun.at(case, whole)
+    steps = {i: p for i, p in enumerate(made) if isinstance(p, Predicted) and p.near}
+    fits = gathered(executor or process_cores(), _fitted, begun, [*steps.values()])
+    by_position = dict(zip(steps, fits, strict=True))
+    return [by_position.get(i, part) for i, part in enumerate(made)]
 
 
 def pooled(
@@ -279,8 +290,8 @@ class Predicted:
     measured, differences (c, n) [SI]: what is compared, and computed minus measured ones; fit,
     held: the fit and these poses, None where it states nothing of them; rest: positions of the
     poses of the fit, None where these poses are of another run; regions: what was stated where
-    the instrument was placed by these poses; stepped: whether the fit was two steps from that of
-    all, of which nothing is kept.
+    the instrument was placed by these poses; near: where a fit begins that states something of
+    them, None where that is at hand.
     """
 
     index: Index
@@ -290,7 +301,7 @@ class Predicted:
     held: Held | None = None
     rest: Index | None = None
     regions: Predictive | None = None
-    stepped: bool = False
+    near: Case | None = None
 
     def stated(self, drifting: Drifting | None) -> Predictive | None:
         """What the fit stated of them under the drift of all poses; None where it states nothing.
@@ -337,7 +348,7 @@ class _Begun:
     """What the fits of all parts share: the calibration, and where that of all poses ended.
 
     leaving: from that of all poses, None where a fit without some of them cannot begin one step
-    from it; anew: whether a part places its instrument; stepped: whether two steps may do.
+    from it; anew: whether a part places its instrument; stepped: whether steps may do.
     """
 
     case: Case
@@ -383,13 +394,18 @@ class _Begun:
         fit = replace(case.fit, start=dict(begun.values))
         return replace(case, mechanism=begun.problem.mechanism, fit=fit, near=near)
 
+    def different(self, index: Index) -> Index:
+        """Those of these positions that are no copies; all where only copies are left out."""
+        first = index[~np.isin(index, self.near.copied)]
+        return first if first.size else index
+
     def unread(self, index: Index) -> Mapping[str, Array]:
         """Values [SI] of what no sensor reads in the poses at these positions."""
         assert self.near.near is not None
         return self.near.near.take(index).unread
 
     def step(self, begun: Beginning, gone: Index) -> Predicted | None:
-        """These poses, predicted two steps from the fit of all; None where that does not do."""
+        """These poses, predicted some steps from the fit of all; None where that does not do."""
         if not self.stepped or self.anew or self.leaving is None:
             return None
         whole, tolerance = self.leaving.whole, self.near.fit.tolerance
@@ -404,12 +420,13 @@ class _Begun:
             held = begun_near(held, unread)
         held = replace(held, start=end)
         made = _predicted(whole, Held(held, unmeasured_corrections(held, end)), gone)
-        return replace(made, fit=None, held=None, stepped=True)
+        near = self.without(replace(begun, parameters=end))
+        return replace(made, fit=None, held=None, near=near)
 
-    def calibrated(self, gone: Index, begun: Beginning | None) -> FitResult:
+    def calibrated(self, gone: Index, near: Case) -> FitResult:
         """The calibration without these poses, begun near where it will end."""
         index = np.setdiff1d(np.arange(len(self.case.data)), gone)
-        refit = self.without(begun).calibrated(index)
+        refit = near.calibrated(index)
         # An open direction would stay where the poses left out have put it.
         if refit.spectrum.rank < len(refit.estimated) or not refit.status.converged:
             return self.case.calibrated(index)
@@ -420,28 +437,38 @@ def _left_out(every: Sequence[_Begun], piece: tuple[int, Index]) -> Outcome:
     """The poses at these positions, predicted by a fit of the others; copies of rows count once."""
     which, index = piece
     begun = every[which]
-    case = begun.case
-    gone, rest = index, np.setdiff1d(np.arange(len(case.data)), index)
-    first = index[~np.isin(index, begun.near.copied)]
-    index = first if first.size else index
     with one_blas_thread():
         try:
-            beginning = None if begun.leaving is None else begun.leaving.begun(gone)
-            if beginning is not None and (made := begun.step(beginning, gone)) is not None:
+            beginning = None if begun.leaving is None else begun.leaving.begun(index)
+            if beginning is not None and (made := begun.step(beginning, index)) is not None:
                 return made
-            refit = begun.calibrated(gone, beginning)
-            if not refit.status.converged:
-                return Failed(index, f"the fit did not converge ({refit.status.reason})")
-            if begun.anew:
-                part = case.data.take(index)
-                return _placed_anew(refit, part, taken(case.noise, index), index)
-            begin = begun.unread(index)
-            held = held_problem(refit, case.data.take(index), taken(case.noise, index), begin)
-            return replace(
-                _predicted(refit, held, index), rest=np.setdiff1d(rest, begun.near.copied)
-            )
         except (InputError, NoTrustworthyResult) as error:
-            return Failed(index, error.message)
+            return Failed(begun.different(index), error.message)
+        return _refitted(begun, index, begun.without(beginning))
+
+
+def _fitted(begun: _Begun, part: Predicted) -> Outcome:
+    """A part that steps predicted, by a fit that begins where these ended."""
+    assert part.near is not None
+    with one_blas_thread():
+        return _refitted(begun, part.index, part.near)
+
+
+def _refitted(begun: _Begun, gone: Index, near: Case) -> Outcome:
+    """The poses at these positions, predicted by a fit of the others that begins near its end."""
+    case, index = begun.case, begun.different(gone)
+    try:
+        refit = begun.calibrated(gone, near)
+        if not refit.status.converged:
+            return Failed(index, f"the fit did not converge ({refit.status.reason})")
+        part, noise = case.data.take(index), taken(case.noise, index)
+        if begun.anew:
+            return _placed_anew(refit, part, noise, index)
+        held = held_problem(refit, part, noise, begun.unread(index))
+        rest = np.setdiff1d(np.arange(len(case.data)), [*gone, *begun.near.copied])
+        return replace(_predicted(refit, held, index), rest=rest)
+    except (InputError, NoTrustworthyResult) as error:
+        return Failed(index, error.message)
 
 
 def _all_stated(whole: FitResult, made: Sequence[Outcome]) -> list[Predictive | None]:

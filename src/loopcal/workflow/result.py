@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -54,12 +55,13 @@ class Result(FitResult, Views):
     @cached_property
     def findings(self) -> Findings:
         """What follows from the equations of the fit beyond the parameters."""
-        return findings(self, self.parts.region)
+        return findings(self, self.parts.region, beside=attrgetter("unjudged"))
 
     @cached_property
     def document(self) -> ResultDocument:
         """Everything that result.json holds, with verdict and findings."""
-        whole = with_findings(self.unjudged, self.findings)
+        searched = self.findings  # ahead of `unjudged`, which it computes meanwhile
+        whole = with_findings(self.unjudged, searched)
         return judged(whole, self.parts.tolerance, self.parts.files or {})
 
     @cached_property
