@@ -92,6 +92,24 @@ def test_a_step_that_bends_is_not_believed() -> None:
     assert settled(whole, begun, gone, 1e-5) is None
 
 
+def test_a_further_sweep_ends_what_one_sweep_does_not() -> None:
+    """The same joints: one sweep is not believed, the next ends where a fit of the rest does."""
+    sds = {"xP": 1e-3, "yP": 1e-3, "phi2": 0.05, "phi3": 0.05}
+    data, gone = ARM.read(sds, seed=4), np.arange(40)
+    whole = lc.calibrate(ARM.truth, data, noise=lc.Noise(sds), method="implicit-loop")
+    begun = LeavingOut(whole).begun(gone)
+    assert begun is not None
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("loopcal.estimation.leaving_out._STEPS", 1)
+        assert settled(whole, begun, gone, 1e-2) is None
+    end = settled(whole, begun, gone, 1e-2)
+    assert end is not None
+    rest = data.take(np.setdiff1d(np.arange(60), gone))
+    part = lc.calibrate(ARM.truth, rest, noise=lc.Noise(sds), method="implicit-loop")
+    for name, value in zip(whole.mechanism.parameters.names, end.tolist(), strict=True):
+        assert abs(value - part.value[name]) <= 1e-2 * (part.sd[name] or 1e-12)
+
+
 def test_a_fit_that_leaves_a_parameter_open_is_not_stepped_to() -> None:
     whole = lc.calibrate(ARM.truth, DATA, noise=lc.Noise(SDS), method="implicit-loop")
     gone = np.arange(59)
