@@ -172,6 +172,36 @@ def test_a_smooth_error_that_the_images_show_is_named_and_stays_sound() -> None:
     assert verdict_of(found(11.0)).sound.passed
 
 
+def scaled(value: float, sd: float, prior_sd: float) -> dict[str, Any]:
+    """Findings of images that show a print of another size, by code."""
+    one = replace(
+        clean().parameters[0], name="board_scale", unit="1", role="print", fixed=False, nominal=0.0
+    )
+    one = replace(one, value=value, sd=sd, prior_sd=prior_sd)
+    accuracy = clean().accuracy
+    assert accuracy is not None
+    (point,) = accuracy.by
+    assert point.position is not None
+    images = replace(point, position=replace(point.position, unit="px"))
+    document = replace(clean(), parameters=(*clean().parameters, one))
+    document = replace(document, accuracy=replace(accuracy, by=(images,)))
+    assert verdict_of(document).sound.passed
+    return {found.code: found for found in findings_of(document)}
+
+
+def test_robot_and_board_that_state_lengths_otherwise_are_told() -> None:
+    assert "scale-decided" not in scaled(0.0025, 0.0009, 0.01)
+    robot = scaled(0.0058, 0.0009, 0.01)["scale-decided"]
+    assert "board_scale is 0.58 % ± 0.090 % if the robot is as stated" in robot.words
+    assert "the robot is stated 0.58 % too long" in robot.words
+    # weighed means of 0 and d
+    b, r, d = 5e-4, 1e-3, 6e-3
+    share = r**2 / (b**2 + r**2)
+    board = scaled(d * (1.0 - share), b * math.sqrt(share), b)["scale-decided"]
+    assert "the board is stated 0.60 % too short" in board.words
+    assert board.numbers["sds"].value == pytest.approx(d / math.hypot(b, r))
+
+
 def test_repeats_that_count_once_are_told_and_stay_sound() -> None:
     data = replace(clean().data, averaged=("2", "3"))
     named = {one.code: one for one in findings_of(replace(clean(), data=data))}

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from functools import partial
 
 from loopcal.document.another_day import ANOTHER_DAY, TWO_MACHINES
-from loopcal.document.of_images import IN_IMAGES, LENS_LEAVES, OF_IMAGES
+from loopcal.document.of_images import IN_IMAGES, LENS_LEAVES, OF_IMAGES, SCALE_BY_ONE
 from loopcal.document.verdict import SEVERITIES, Fact, Finding, Named, Row
 
 _AGAIN, _CHECK = "loopcal calibrate {project}", "loopcal check {project}"
@@ -346,6 +346,7 @@ _ROWS = (
     ),
     _sound("sound", "The fit converged; sensors, poses and machine model are consistent."),
     LENS_LEAVES,
+    SCALE_BY_ONE,
     _sound(
         "repeats-averaged",
         "{repeats} an earlier pose, with its error: each pose counts once, with the mean of its "

@@ -360,6 +360,18 @@ class SmoothErrors:
 
 
 @dataclass(frozen=True)
+class PrintedEntry:
+    """Offsets of the points of prints, which the fit eliminated: they err by
+    `follow` times the error of the estimated parameters, and independently by `sds`."""
+
+    names: tuple[str, ...]
+    sds: tuple[float, ...]
+    """[m]"""
+    follow: tuple[tuple[float, ...], ...]
+    """By offset and parameter [SI]."""
+
+
+@dataclass(frozen=True)
 class PredictionEntry:
     """What `loopcal predict` needs beside the covariance and the calibrated mechanism."""
 
@@ -387,6 +399,8 @@ class PredictionEntry:
     """Of stated poses; null: none that are learnt, or written by an earlier version."""
     seen: Mapping[str, float] = field(default_factory=dict)
     """Camera -> the largest angle [rad] from the axis of its lens at which a corner was read."""
+    printed: PrintedEntry | None = None
+    """Null: no print whose points may be off, or written by an earlier version."""
 
 
 @dataclass(frozen=True)

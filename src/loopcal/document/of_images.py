@@ -57,6 +57,16 @@ LENS_LEAVES = Row(
     detail="To know focal length and principal point better, remove a cover before the lens or "
     "state another lens model.",
 )
+SCALE_BY_ONE = Row(
+    "sound",
+    "info",
+    "scale-decided",
+    "Images show no lengths: the {decides} decides how long everything is. {place.parameters} is "
+    "{size} % ± {sd} % if the {decides} is as stated. If the {other} is, the {decides} is stated "
+    "{percent} % too {way}, and the images fit alike. The two are {sds:2} sds of both apart.",
+    detail="Measure the print, and state its size with the sd of your measurement (prior of "
+    "{place.parameters}).",
+)
 IN_IMAGES = (
     Row(
         "valid",

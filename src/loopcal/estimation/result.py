@@ -13,7 +13,7 @@ import numpy as np
 from loopcal.arrays import Array
 from loopcal.document.change_points import Dependence
 from loopcal.document.choice import Chosen, TermEntry
-from loopcal.document.findings import ColumnFault, Identifiability, SmoothErrors
+from loopcal.document.findings import ColumnFault, Identifiability, PrintedEntry, SmoothErrors
 from loopcal.document.fit import ChiSquared, NoiseEntry
 from loopcal.document.result_document import DataEntry, Parts
 from loopcal.errors import InputError
@@ -360,6 +360,12 @@ class FitResult:
         learnt, prints = self.estimate.variances.terms, self.estimate.prints
         terms = () if learnt is None else term_entries(self.mechanism, learnt)
         return terms if prints is None else (*terms, *prints.entries(self.mechanism))
+
+    @cached_property
+    def printed(self) -> PrintedEntry | None:
+        """What the points of prints leave open (`Prints.left`)."""
+        prints = None if self.estimate is None else self.estimate.prints
+        return None if prints is None else prints.left()
 
     @property
     def learns_terms(self) -> bool:

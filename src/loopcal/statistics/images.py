@@ -11,12 +11,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from loopcal.arrays import Array
 from loopcal.document.choice import Candidate
 from loopcal.document.findings import HalvesEntry
 from loopcal.document.plain import finite
 from loopcal.errors import NoTrustworthyResult
+from loopcal.estimation.result import FitResult
 from loopcal.execution.executor import Executor
 from loopcal.mechanisms.mechanism import PIXELS
+from loopcal.small_samples import LearntCovariance
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.case import Case, Entrant, instruments_alone, nominal_case, unstated_lenses
 from loopcal.statistics.comparison import covariance_between
@@ -107,7 +110,8 @@ def lens_halves(
     A lens that lacks a term, or a board that is not as stated, is taken up by the focal length, and
     by another amount in other images. The residuals show little of it; two fits of different images
     do. With estimates a, b of the halves the covariance of b - a is that of both, less what both
-    took from the same prior (`comparison.covariance_between`).
+    took from the same prior (`comparison.covariance_between`). What no lens describes is one field
+    in both: it moves them by what `LensErrors.between` says, not by what it moves each.
     """
     whole, case = taken.whole, taken.entrant.case
     lens = () if whole is None else whole.mechanism.parameters.of_role("lens")
@@ -115,18 +119,41 @@ def lens_halves(
         return ()
     (made,) = left_out([(case, whole)], folds(plan.groups, 2, seed=0), executor)
     fits = [part.fit for part in made if isinstance(part, Predicted) and part.fit is not None]
-    if len(fits) < 2 or fits[0].estimated != fits[1].estimated:
+    return halves_apart(whole, *fits) if len(fits) == 2 else ()
+
+
+def halves_apart(whole: FitResult, *fits: FitResult) -> tuple[HalvesEntry, ...]:
+    """The same of fits of all images and of the halves."""
+    if any(fit.estimated != whole.estimated for fit in fits):
         return ()
-    first, second = (Calibrated.of(fit, "") for fit in fits)
+    lens = whole.mechanism.parameters.of_role("lens")
+    first, second = (_beside_lens_errors(fit) for fit in fits)
     covariance = covariance_between(first.by_residuals, second.by_residuals)
+    if whole.lens_errors is not None:
+        apart = whole.lens_errors.between(*((fit.problem, fit.solution) for fit in fits))
+        covariance = covariance.widened(_within(whole, apart))
     sd = np.sqrt(np.maximum(np.diag(covariance.matrix), 0.0))
     entries = []
     for i, p in enumerate(whole.mechanism.parameters):
-        if p.name in lens and p.name in fits[0].estimated and 0.0 < sd[i] < math.inf:
+        if p.name in lens and p.name in whole.estimated and 0.0 < sd[i] < math.inf:
             one, other = (fit.value[p.name] for fit in fits)
             freedom = finite(float(covariance.freedom[i]))
             entries.append(HalvesEntry(p.name, p.unit, one, other, float(sd[i]), freedom))
     return tuple(entries)
+
+
+def _beside_lens_errors(fit: FitResult) -> Calibrated:
+    """Without what the covariance gains by the field that other images share."""
+    one, errors = Calibrated.of(fit, ""), fit.lens_errors
+    if errors is None:
+        return one
+    return replace(one, covariance=one.covariance.widened(-_within(fit, errors.covariance)))
+
+
+def _within(fit: FitResult, part: Array) -> Array:
+    """Of all parameters, of what is of the estimated ones."""
+    size, free = len(fit.mechanism.parameters), fit.problem.free
+    return LearntCovariance.certain(part).within(size, free).matrix
 
 
 def image_validation(

@@ -42,7 +42,14 @@ from loopcal.mechanisms.parallel.free_body import COLUMNS, POSITION
 from loopcal.presentation.brief import brief
 from loopcal.presentation.shown import significant, with_unit
 from loopcal.small_samples import LearntCovariance, f_limit, t_quantile
-from loopcal.statistics.predictor import Predictor, angles, by_parameters, predictor, trace_sd
+from loopcal.statistics.predictor import (
+    Predictor,
+    angles,
+    by_parameters,
+    predictor,
+    trace_sd,
+    with_prints,
+)
 
 # Record 0054: valid up to 3.
 ALARM = 3.0
@@ -344,8 +351,8 @@ def parts_at(
         y[i, unread[moved_by].any(axis=0)] = np.nan
     S = output_sensitivity(solved, values, calibrated.names, x, constants)
     o = len(calibrated.units)
-    slopes = S.by_parameter[:, :o]
-    from_parameters = by_parameters(calibrated, slopes, measured=measured)
+    slopes, beside = with_prints(calibrated, solved, S.by_parameter[:, :o], x, constants)
+    from_parameters = by_parameters(calibrated, slopes, measured=measured) + beside
     elsewhere = None if measured else _elsewhere(calibrated, solved, x, constants, S)
     if elsewhere is not None:
         from_parameters = from_parameters + elsewhere

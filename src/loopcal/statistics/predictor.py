@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.arrays import Array
-from loopcal.document.findings import PredictionEntry, SmoothErrors, UsualSd
+from loopcal.document.findings import PredictionEntry, PrintedEntry, SmoothErrors, UsualSd
 from loopcal.document.fit import NoiseCovarianceEntry, NoiseEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError
@@ -41,6 +42,9 @@ from loopcal.statistics.calibrated import (
 )
 from loopcal.statistics.other_conditions import MEASURE, unlike
 
+# As `estimation.noise.prints` has it: central differences are right to nine digits.
+_MOVED = 1e-5
+"""By which points of a print are moved for derivatives [m]."""
 # The 95 % point over 2000 poses is sure to half a per cent of them: sqrt(0.95 x 0.05 / 2000).
 _MOST_POSES = 2000
 # Chosen, not derived: far above rounding, far below an effect that counts.
@@ -102,7 +106,8 @@ class Predictor:
     output -> what errors that all outputs of an image share do to it (`PredictionEntry`);
     pose_part: (n, n) what `covariance` lacks where a pose is far from those of the fit, and
     smooth_errors, which say how far (of the result, without `factor`); seen: camera -> the largest
-    angle [rad] from its axis at which a corner was read.
+    angle [rad] from its axis at which a corner was read; printed: what
+    the points of prints leave open.
     """
 
     __repr__ = brief
@@ -121,6 +126,7 @@ class Predictor:
     pose_part: Array | None = None
     smooth_errors: SmoothErrors | None = None
     seen: Mapping[str, float] = field(default_factory=dict)
+    printed: PrintedEntry | None = None
 
     @cached_property
     def units(self) -> dict[str, str]:
@@ -142,6 +148,7 @@ class Predictor:
             shared=self.shared,
             smooth_errors=self.smooth_errors,
             seen=self.seen,
+            printed=self.printed,
         )
 
     def unlike(self, columns: Mapping[str, Array]) -> list[str]:
@@ -203,6 +210,7 @@ def predictor_of(document: ResultDocument, mechanism: Mechanism) -> Predictor:
         pose_part=pose_part,
         smooth_errors=stored.smooth_errors,
         seen=stored.seen,
+        printed=stored.printed,
     )
 
 
@@ -236,6 +244,7 @@ def predictor(result: FitResult) -> Predictor | None:
         x,
         ReadingNoise.of(result.noise, joint, unmeasured).scaled_by(factor),
         None if at_poses is None else factor * at_poses,
+        printed=result.printed,
     )
     groups = {(group.instrument, group.unit): group for group in output_groups(result.mechanism)}
     usual = tuple(
@@ -319,6 +328,8 @@ def predictor_at(
     x: Array,
     readings: ReadingNoise,
     at_poses: Array | None = None,
+    *,
+    printed: PrintedEntry | None = None,
 ) -> Predictor:
     """The predictor of a parameter system, its usual sds taken at poses x (k, N) [SI]."""
     quantities = mechanism.tape.quantities
@@ -331,6 +342,7 @@ def predictor_at(
         readings,
         typical={q: v for q, v in typical.items() if math.isfinite(v)},
         at_poses=at_poses,
+        printed=printed,
     )
     return replace(bare, usual=_usual(bare, problem, x))
 
@@ -360,7 +372,8 @@ def _usual(bare: Predictor, problem: Problem, x: Array) -> tuple[UsualSd, ...]:
             S = output_sensitivity(
                 mechanism, values, bare.names, at[part], constants[part], pattern.unmeasured
             )
-            covariance = by_parameters(bare, S.by_parameter, measured=True)
+            moved = with_prints(bare, mechanism, S.by_parameter, at[part], constants[part])
+            covariance = by_parameters(bare, moved.slopes, measured=True) + moved.beside
             gathered.append([trace_sd(covariance, group) for group in groups])
     if not gathered:
         return ()
@@ -401,6 +414,48 @@ def by_parameters(calibrated: Predictor, S: Array, *, measured: bool = False) ->
         pose, output = np.nonzero(effect > _UNSEEN * single[:, None])
         covariance[pose, output, output] = np.inf
     return covariance
+
+
+class WithPrints(NamedTuple):
+    """slopes: (N, o, n) by the parameters and the offsets that follow them; beside: (N, o, o)
+    what the offsets leave open besides."""
+
+    slopes: Array
+    beside: Array
+
+
+def with_prints(
+    calibrated: Predictor, mechanism: Mechanism, S: Array, x: Array, constants: Array
+) -> WithPrints:
+    """What offsets of the points of prints do at readings x (k, N) [SI]; S: by the parameters.
+
+    An output depends on one point alone, so that all points move at once: with its derivatives g
+    (3,) by the offset of its point it gains g^T B in S, of offsets that follow by B, and two
+    outputs of a point have the covariance sum_a g_a s_a^2 h_a besides.
+    """
+    printed = calibrated.printed
+    if printed is None:
+        return WithPrints(S, np.zeros((len(S), 1, 1)))
+    place = {p.name: i for i, p in enumerate(mechanism.parameters)}
+    values = np.array([p.nominal for p in mechanism.parameters])
+    number = {name: i for i, name in enumerate(printed.names)}
+    points = [":".join(q.split(":")[1:3]) for q in calibrated.units]
+    follow, sds = np.array(printed.follow), np.array(printed.sds)
+    slopes, own = S.copy(), np.zeros((3, len(points), len(S)))
+    for axis, gained in zip("xyz", own, strict=True):
+        names = [f"{point.replace(':', '_')}_{axis}" for point in points]
+        rows = [i for i, name in enumerate(names) if name in number]
+        ends = []
+        for way in (_MOVED, -_MOVED):
+            moved = values.copy()
+            moved[list({place[names[i]] for i in rows})] += way
+            ends.append(predict_outputs(mechanism, moved, x, constants, calibrated.names))
+        g = (ends[0] - ends[1])[rows] / (2.0 * _MOVED)
+        which = [number[names[i]] for i in rows]
+        slopes[:, rows] += g.T[:, :, None] * follow[which]
+        gained[rows] = sds[which, None] * g
+    alike = np.equal.outer(points, points)
+    return WithPrints(slopes, np.einsum("ain,ajn->nij", own, own) * alike)
 
 
 def trace_sd(covariance: Array, group: OutputGroup) -> Array:

@@ -46,6 +46,9 @@ LEAST_SHARE = 0.2
 # Three sds of a normal distribution, both sides.
 APART = 0.0027
 """How rarely two halves of honest images may put a parameter so far apart."""
+# As for the focal lengths of two halves.
+_SCALES_APART = 3.0
+"""Sds by which the scale of a print is another one than stated."""
 # Chosen, not derived: lenses are sold with such tolerances.
 LABEL = 0.05
 """Share of a focal length from which its sd is no better than what is printed on the lens."""
@@ -385,6 +388,48 @@ def _lens_errors(document: ResultDocument) -> Fact | None:
     return fact("lens-leaves-error", numbers=numbers, camera=worst.camera)
 
 
+def _scale_decided(document: ResultDocument) -> Fact | None:
+    """Which of robot and print decided the scale, where they state lengths otherwise.
+
+    A scale of everything, robot, print and places, changes no image. With the prior sd b of the
+    print's scale s, and r that of the robot's lengths in proportion, the estimate is the mean of 0
+    and the difference d that the images show, by these priors, so that
+
+        1 / sd^2 = 1 / b^2 + 1 / r^2,   s = d b^2 / (b^2 + r^2) = d (1 - sd^2 / b^2),
+
+    and the two are |d| / (b^2 + r^2)^1/2 = |s| / (b^2 - sd^2)^1/2 sds apart.
+    """
+    by = () if document.accuracy is None else document.accuracy.by
+    if any(one.position is None or one.position.unit != "px" for one in by) or not by:
+        return None
+    apart = {}
+    for p in document.parameters:
+        if p.role == "print" and p.name.endswith("_scale") and p.sd and p.prior_sd:
+            left = p.prior_sd**2 - p.sd**2
+            off = abs(p.value - p.nominal)
+            if left > 0.0 and off > _SCALES_APART * min(p.sd, math.sqrt(left)):
+                apart[off / math.sqrt(left)] = p
+    if not apart:
+        return None
+    sds, one = max(apart.items(), key=lambda item: item[0])
+    off, share = one.value - one.nominal, ((one.sd or 0.0) / (one.prior_sd or math.inf)) ** 2
+    robot = share < 0.5  # r < b
+    difference = off / (1.0 - share)
+    # Where the robot decides, the print seems larger because the robot is stated longer than it is.
+    longer = (difference > 0.0) == robot
+    return fact(
+        "scale-decided",
+        Where(parameters=(one.name,)),
+        {"sds": sds, "difference": difference},
+        decides="robot" if robot else "board",
+        other="board" if robot else "robot",
+        size=significant(100.0 * off, 2),
+        sd=significant(100.0 * (one.sd or 0.0), 2),
+        percent=significant(100.0 * abs(difference), 2),
+        way="long" if longer else "short",
+    )
+
+
 def _undetermined(document: ResultDocument) -> Fact | None:
     loose = tuple(sorted(document.identifiability.loose))
     if not loose:
@@ -438,6 +483,7 @@ SOUND: tuple[Callable[[ResultDocument], Fact | None], ...] = (
     _undetermined,
     _no_test,
     _lens_errors,
+    _scale_decided,
     _effects_learnt,
     errors_beyond_sds,
 )

@@ -18,6 +18,7 @@ from loopcal.estimation.fit import Fit
 from loopcal.estimation.fit_document import fit_document
 from loopcal.estimation.result import FitResult
 from loopcal.mechanisms.cameras.lens import project
+from loopcal.statistics.images import halves_apart
 from loopcal.statistics.sound import SOUND
 from tests.estimation.cameras.test_image_errors import Array, placed, stated
 
@@ -29,6 +30,7 @@ NAMES = tuple(f"eye:board:{point}:{axis}" for point in POINTS for axis in "uv")
 EYE = (0.05, -0.02, 0.6, 0.3, 0.1, 3.0)
 SIX = ("x", "y", "z", "rz", "ry", "rx")
 CORNER, FIELD = 0.2, 0.5
+FIT = Fit(method="implicit-loop", start="nominal")
 WAVES = [(m, n) for m in range(4) for n in range(4) if m + n]
 
 
@@ -131,8 +133,7 @@ def calibrated(seed: int, *, odd: bool) -> Draw:
     off[:, :3, :3] = turns @ T[:, :3, :3]
     off[:, :3, 3] += random.normal(0.0, 1e-4, (len(T), 3))
     data = lc.Dataset.from_arrays(stated(off) | dict(zip(NAMES, uv, strict=True)))
-    fit = Fit(method="implicit-loop", start="nominal")
-    return Draw(calibrate(MACHINE, data, noise=NOISE, fit=fit), best, left)
+    return Draw(calibrate(MACHINE, data, noise=NOISE, fit=FIT), best, left)
 
 
 def by_corners(result: FitResult) -> Array:
@@ -194,3 +195,17 @@ def test_sds_stay_where_the_model_describes_the_lens() -> None:
         ]
     assert np.median(ratios) < 1.02
     assert np.mean(ratios) < 1.05
+
+
+def test_halves_of_the_images_share_what_no_model_describes(draws: list[Draw]) -> None:
+    off: list[float] = []
+    for result, _, _ in draws[:10]:
+        halves = (
+            calibrate(MACHINE, result.dataset.take(slice(first, None, 2)), noise=NOISE, fit=FIT)
+            for first in (0, 1)
+        )
+        apart = {one.name: one.sds for one in halves_apart(result, *halves)}
+        off += [apart[f"eye_{name}"] for name in ("cx", "cy", "p1", "p2")]
+    # counted in each half as if the other had another field: 0.60
+    assert 0.7 < np.sqrt(np.mean(np.square(off))) < 1.2
+    assert np.abs(off).max() < 3.0

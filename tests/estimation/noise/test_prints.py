@@ -75,6 +75,14 @@ def test_scattered_points_are_learnt_with_their_sd(scattered: tuple[Shots, FitRe
     assert len(lc.find_outliers(result)) == 0
 
 
+def _sds(predicted: lc.Prediction) -> Array:
+    """(N, o) by the parameters, of pixels beside what all of an image share."""
+    C = predicted.from_parameters
+    k = C.shape[1] // 2
+    alone = np.eye(2 * k) - np.kron(np.full((k, k), 1.0 / k), np.eye(2))
+    return np.asarray(np.sqrt(np.einsum("ij,njk,ki->ni", alone, C, alone)))
+
+
 def test_they_are_those_of_offsets_that_are_free(scattered: tuple[Shots, FitResult]) -> None:
     _, result = scattered
     (points,) = result.terms
@@ -99,6 +107,10 @@ def test_they_are_those_of_offsets_that_are_free(scattered: tuple[Shots, FitResu
     np.testing.assert_allclose(sds[:, 0], sds[:, 1], rtol=0.1)
     for name in names:
         assert abs(result.value[name] - joint.value[name]) < 2e-6
+    poses = {q: v[:5] for q, v in result.dataset.readings.items() if ":" not in q}
+    one, other = (_sds(lc.predict(fit, poses)) for fit in (result, joint))
+    # What two points share counts as independent; without the offsets the mean is some 2.0.
+    assert 1.0 < (one / other).mean() < 1.3
 
 
 def test_one_point_that_is_elsewhere_is_named_once(tmp_path: Path) -> None:

@@ -600,3 +600,16 @@ def test_what_has_no_image_or_no_pose_is_said(tmp_path: Path) -> None:
     words = str(lc.init(tmp_path))
     assert "2 poses without an image are left out: '3', '4'" in words
     assert "1 images without a pose or with too few corners are left out: '10'" in words
+
+
+@pytest.mark.parametrize("moved", [0.0, 5.0])
+def test_a_second_table_of_other_poses_is_named(tmp_path: Path, moved: float) -> None:
+    T = hands(12, 5)
+    written(tmp_path, pixels(T, on="base"), T)
+    head, *rows = (tmp_path / "robot.csv").read_text("utf-8").splitlines()
+    cells = [row.split(",") for row in rows[:9]]
+    again = [",".join([pose, f"{float(x) + moved:.9f}", *rest]) for pose, x, *rest in cells]
+    (tmp_path / "second.csv").write_text("\n".join([head, *again]) + "\n", "utf-8")
+    said = [one for one in lc.init(tmp_path).remarks if "second.csv" in one]
+    assert len(said) == (moved > 0.0)
+    assert all("states 9 poses too, which are not used" in one for one in said)

@@ -43,9 +43,10 @@ def _board(reading: Reading, result: Adjusted, lens: Sequence[str]) -> Iterator[
             continue
         number = f"{1.0 + value:.4f} ± {sd:.1g}"
         sentence = (
-            f"Board and robot disagree about lengths: the robot's make the board's pitch {number} "
-            "of the stated one. The calibration estimates the pitch by the robot. Measure the "
-            "print to see which of them is right."
+            f"Board and robot disagree about lengths: the board's pitch is {number} of the stated "
+            f"one if the robot is right. If the board is right, the robot is stated "
+            f"{abs(100.0 * value):.2g} % too {'long' if value > 0.0 else 'short'}. Images show no "
+            "lengths, and the calibration takes those of the robot. Measure the print."
             if name == "pitch"
             else f"Height and width of the board fit as {number} of the stated ratio, if pixels "
             "are square. Measure both on the print."

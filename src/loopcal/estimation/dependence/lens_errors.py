@@ -18,6 +18,9 @@ t and l: by C = Z^T Z - A^T A and g = Z^T E - A^T (D^T E), with s the variance o
 
 where the best s stands for itself. What is gained is averaged over a grid of r and l. C, g and E
 here are those without priors. L is the spectrum of a Matern covariance of order 2 (Stein 1999).
+
+The field moves an estimate by M b, M = (H + P)^-1 D^T Z. Two sets of images of one camera have the
+same b: the difference of their estimates gains (M_1 - M_2) t L (M_1 - M_2)^T.
 """
 
 from __future__ import annotations
@@ -62,15 +65,32 @@ _GRID = 25
 """Points of a side of the image at which waves and lens are compared."""
 
 
-class LensErrors(NamedTuple):
-    """covariance: (n, n) [SI] what that of the estimate gains; entries: what each lens leaves."""
+@dataclass(frozen=True, eq=False)
+class LensErrors:
+    """moved: M (n, w) [SI]; spectrum: (w,) the mean of t L; entries: what each lens leaves."""
 
-    covariance: Array
+    moved: Array
+    spectrum: Array
     entries: tuple[LensErrorEntry, ...]
+    eyes: tuple[_Eye, ...]
+
+    @property
+    def covariance(self) -> Array:
+        """(n, n) [SI] what that of the estimate gains."""
+        return self._of(self.moved)
 
     def through(self, S: Array) -> Array:
         """(N, m, m) what that of S (N, m, n) times the estimate gains."""
         return np.asarray(rows_times(S, self.covariance) @ np.swapaxes(S, -1, -2))
+
+    def between(self, *fits: tuple[Problem, Solution]) -> Array:
+        """(n, n) [SI] what the covariance of the difference of two estimates gains, each of a part
+        of the images."""
+        one, other = (_moved(_sums(*fit, self.eyes), fit[1], self.eyes) for fit in fits)
+        return self._of(one - other)
+
+    def _of(self, moved: Array) -> Array:
+        return np.asarray((moved * self.spectrum) @ moved.T)
 
 
 class _Learnt(NamedTuple):
@@ -121,7 +141,7 @@ def lens_errors(problem: Problem, solution: Solution) -> LensErrors | None:
     eyes = _eyes(problem, parameters)
     if not eyes:
         return None
-    sums = _Sums.of(problem, parameters, solution.corrections, eyes)
+    sums = _sums(problem, solution, eyes)
     weak = _WEAK * problem.precision
     away = problem.nominal - parameters[problem.free]
     pull = np.where(weak > 0.0, weak * away, 0.0)
@@ -131,21 +151,40 @@ def lens_errors(problem: Problem, solution: Solution) -> LensErrors | None:
     freedom = sums.count - root.shape[1]
     if freedom <= 0 or not square > 0.0:
         return None
-    gained, entries, start = np.zeros((root.shape[1],) * 2), [], 0
-    for eye, pixel in zip(eyes, sums.pixels, strict=True):
-        part = slice(start, start + len(eye.left))
-        start = part.stop
-        DZ = sums.DZ[:, part] - sums.DD[:, eye.lens] @ eye.best.T
+    moved, spectra, entries = _moved(sums, solution, eyes), [], []
+    for eye, part, pixel in zip(eyes, _parts(eyes), sums.pixels, strict=True):
         ZE = sums.ZE[part] - eye.best @ sums.DE[eye.lens]
         cross = eye.best @ sums.DZ[eye.lens, part]
         ZZ = sums.ZZ[part, part] - cross - cross.T
         ZZ += eye.best @ sums.DD[np.ix_(eye.lens, eye.lens)] @ eye.best.T
-        A = root.T @ DZ
+        A = root.T @ _by_field(sums, eye, part)
         taken = A.T @ inverse
         learnt = _learnt(eye, ZZ - taken @ A, ZE - taken @ toward, (square, freedom, pixel))
-        gained = gained + (A * learnt.spectrum) @ A.T
+        spectra.append(learnt.spectrum)
         entries.append(LensErrorEntry(eye.name, learnt.rms, learnt.gain))
-    return LensErrors(root @ gained @ root.T, tuple(entries))
+    return LensErrors(moved, np.concatenate(spectra), tuple(entries), eyes)
+
+
+def _parts(eyes: Sequence[_Eye]) -> list[slice]:
+    """The waves of each camera among those of all."""
+    ends = np.cumsum([len(eye.left) for eye in eyes]).tolist()
+    return [slice(end - len(eye.left), end) for eye, end in zip(eyes, ends, strict=True)]
+
+
+def _sums(problem: Problem, solution: Solution, eyes: Sequence[_Eye]) -> _Sums:
+    return _Sums.of(problem, solution.parameters, solution.corrections, eyes)
+
+
+def _by_field(sums: _Sums, eye: _Eye, part: slice) -> Array:
+    """D^T Z (n, w) of the waves of a camera."""
+    return np.asarray(sums.DZ[:, part] - sums.DD[:, eye.lens] @ eye.best.T)
+
+
+def _moved(sums: _Sums, solution: Solution, eyes: Sequence[_Eye]) -> Array:
+    """M (n, w)."""
+    root = solution.spectrum.root
+    DZ = [_by_field(sums, eye, part) for eye, part in zip(eyes, _parts(eyes), strict=True)]
+    return np.asarray(root @ (root.T @ np.hstack(DZ)))
 
 
 def _learnt(eye: _Eye, C: Array, g: Array, noise: tuple[float, int, float]) -> _Learnt:

@@ -15,6 +15,7 @@ is a shift, turn, size or bend of the board is parted from these parameters by t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -24,12 +25,20 @@ from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.document.choice import DECISIVE, TermEntry, TermPart
+from loopcal.document.findings import PrintedEntry
 from loopcal.estimation.noise.term_parts import gain, idle, term_entries
-from loopcal.estimation.noise.term_scales import Sums, TermVariances, learn_scales, term_system
+from loopcal.estimation.noise.term_scales import (
+    Sums,
+    TermVariances,
+    learn_scales,
+    searched,
+    term_system,
+)
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.solve.kernel import TurnedImages
 from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.expressions.engine import Stage
+from loopcal.lazy import cached_property
 from loopcal.mechanisms.instruments.camera import all_cameras
 from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 from loopcal.mechanisms.terms import Term
@@ -51,6 +60,8 @@ from which the scatter of the others is known."""
 _STEP = 1e-5
 """By which points are moved for derivatives [m]: so central differences are right to nine digits
 where the board is a metre away."""
+_NONE = 19.0
+"""Odds that a print has no offsets, as far as the images do not ask for them (0166)."""
 _LINE = 3
 """Fewest points of a row or column whose mean is reported."""
 
@@ -307,6 +318,35 @@ class Prints:
             sd[used] = np.sqrt(np.diag(self.covariance))
         return sd
 
+    @cached_property
+    def expected(self) -> Array:
+        """(terms,) sds [m]: the learnt ones, and of terms that are not kept those that the images
+        leave possible, by the odds that there is none and by what the likelihood gains."""
+        if self.learnt is None or self.kept.all():
+            return self.scales
+        every = np.ones(len(self.learnt.at.x), dtype=bool)
+        present = searched(self.learnt.system, self.learnt.at.x, every)
+        against = [_NONE * math.exp(-0.5 * gain(present, i)) for i in range(len(self.scales))]
+        return np.where(self.kept, self.scales, present.scales / np.sqrt(np.add(1.0, against)))
+
+    def left(self) -> PrintedEntry | None:
+        """What the offsets leave open beside the estimated parameters p; None without any.
+
+        With H the sums and the priors, d errs by -H_dd^-1 H_dp dp, and by N(0, H_dd^-1) besides.
+        """
+        sds = self.expected[self.layout.owner]
+        used = np.flatnonzero(sds > 0.0)
+        if self.sums is None or not used.size:
+            return None
+        n = len(self.sums) - 1 - len(self.index)
+        H = self.sums[np.ix_(n + used, n + used)] + np.diag(1.0 / np.square(sds[used]))
+        covariance = _inverse(H)
+        return PrintedEntry(
+            tuple(self.layout.names[i] for i in used),
+            tuple(np.sqrt(np.diag(covariance)).tolist()),
+            tuple(map(tuple, (-covariance @ self.sums[n + used, :n]).tolist())),
+        )
+
     def widened(self, problem: Problem) -> Problem:
         """Images that were not used, with sds of pixels that hold what the offsets leave open: on
         average as large a share of the variance as that of the equations that they use up."""
@@ -319,13 +359,14 @@ class Prints:
 
     def gained(self, root: Array) -> Array | None:
         """(k, k) what the covariance of z gains by what the offsets leave open, dp = root z."""
-        used = np.flatnonzero(self.scales[self.layout.owner] > 0.0)
+        sds = self.expected[self.layout.owner]
+        used = np.flatnonzero(sds > 0.0)
         if self.sums is None or not used.size:
             return None
         n = len(root)
         B = root.T @ self.sums[:n, n + used]
         S = self.sums[np.ix_(n + used, n + used)]
-        S = S + np.diag(1.0 / np.square(self.scales[self.layout.owner[used]]))
+        S = S + np.diag(1.0 / np.square(sds[used]))
         share = B @ np.linalg.solve(S, B.T)
         k = len(share)
         return np.asarray(np.linalg.inv(np.eye(k) - 0.5 * (share + share.T)) - np.eye(k))

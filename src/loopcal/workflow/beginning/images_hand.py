@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -117,7 +118,7 @@ def hand_of(
             flange_columns(stated.T),
             stated.T,
             noise,
-            (words,),
+            (words, *_left_out(stated, _tables(poses))),
             ways=stated.ways,
             counted=stated.counted,
             measured=stated.measured,
@@ -140,12 +141,7 @@ def states_flange(files: Files) -> bool:
 def _stated(paths: Sequence[Path]) -> PlaceTable | None:
     """The poses of the flange: of the file with most of them, or of files with one pose each, which
     are named as these."""
-    tables: list[PlaceTable] = []
-    for path in paths:
-        try:
-            tables.append(read_places(path))
-        except InputError:
-            continue
+    tables = _tables(paths)
     most = max(tables, key=lambda table: len(table.name), default=None)
     if most is None or len(most.name) > 1 or len(tables) == 1:
         return most
@@ -153,6 +149,30 @@ def _stated(paths: Sequence[Path]) -> PlaceTable | None:
     names = tuple(sorted(by_name, key=lambda name: (len(name), name)))  # 9 before 10
     T = np.concatenate([by_name[name] for name in names])
     return PlaceTable(names, T, f"each of {len(tables)} files")
+
+
+def _tables(paths: Sequence[Path]) -> list[PlaceTable]:
+    tables: list[PlaceTable] = []
+    for path in paths:
+        with suppress(InputError):
+            tables.append(read_places(path))
+    return tables
+
+
+def _left_out(stated: PlaceTable, tables: Sequence[PlaceTable]) -> Iterator[str]:
+    """Names other files that state poses, where these are not among those that are used."""
+    used = dict(zip(stated.name, stated.T, strict=True))
+    for table in tables if len(stated.name) > 1 else ():
+        among = (
+            name in used and np.allclose(used[name], T, equal_nan=True)
+            for name, T in zip(table.name, table.T, strict=True)
+        )
+        if len(table.name) > 1 and table.file != stated.file and not all(among):
+            yield (
+                f"{table.file} states {len(table.name)} poses too, which are not used. If they "
+                f"belong to other images than those of {stated.file}, write all poses into one "
+                "table. If each camera has poses of its own, calibrate each in a folder of its own"
+            )
 
 
 def _joints(paths: Sequence[Path], describe: Describe, joints: str | None, folder: Path) -> Hand:
