@@ -435,7 +435,7 @@ class Mechanism:
                 code="unsupported",
                 remedy="calibrate it, and use result.predict(readings)",
             )
-        nominal = {p.name: p.nominal for p in self.parameters}
+        nominal = self.parameters.nominal
         joints = tuple(self.joints)
         return forward_kinematics(lambda x: ChainFrame(self.chain, x, nominal), q, joints)
 

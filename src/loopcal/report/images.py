@@ -223,7 +223,7 @@ def projection_sd(source: Source, view: CameraView, P: Array) -> Array:
     kept = [i for i, name in enumerate(covariance.names) if name in wanted]
     every = np.array(covariance.matrix, dtype=float).reshape((len(covariance.names),) * 2)
     S = every[np.ix_(kept, kept)]
-    values = {p.name: p.nominal for p in source.mechanism.parameters}
+    values = source.mechanism.parameters.nominal
     lens = view.intrinsics.lens
 
     def place(values: Mapping[str, float]) -> Array:
@@ -263,7 +263,7 @@ def sights_and_outlines(
     What stands still is there once.
     """
     assert source.mechanism is not None
-    values = {p.name: p.nominal for p in source.mechanism.parameters}
+    values = source.mechanism.parameters.nominal
     sights, outlines = [], []
     lasting: dict[str, Array] = {}
     for view in views:

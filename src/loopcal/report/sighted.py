@@ -58,7 +58,7 @@ def _placed(
     mechanism: Mechanism, family: Family, readings: Readings, measured: Array, computed: Array
 ) -> Sighting:
     """Points that an instrument states in its frame (d, N)."""
-    values = {p.name: p.nominal for p in mechanism.parameters}
+    values = mechanism.parameters.nominal
     steps = family.placement.steps if isinstance(family.placement, Station) else ()
     root = "" if mechanism.tree is None else mechanism.tree.root
     if family.against in ("base", root) and steps == drawn_in(mechanism):

@@ -439,8 +439,7 @@ def _base(mechanism: Mechanism, family: Family) -> Array:
     station = family.placement or mechanism.placement
     if not isinstance(station, Station):
         return np.eye(4)
-    values = {p.name: p.nominal for p in mechanism.parameters}
-    return inverse(product(station.steps, {}, values))
+    return inverse(product(station.steps, {}, mechanism.parameters.nominal))
 
 
 def _moved(T: Array, at: Array) -> Array:
@@ -460,7 +459,7 @@ def _of_whole_robot(
             code="unsupported",
             remedy="leave out sight; state poses that may not be measured as forbidden rows",
         )
-    values = {p.name: p.nominal for p in mechanism.parameters}
+    values = mechanism.parameters.nominal
     left, refused = so_far.poses, dict(so_far.refused)
     outside, hit = (np.zeros(len(data), dtype=bool) for _ in range(2))
     for leaf in mechanism.tree.leaves:
@@ -492,8 +491,7 @@ def _kept_out(site: PlanSettings, way: list[Array]) -> Mask:
 
 def _links(way: Sequence[Step], mechanism: Mechanism, data: Dataset) -> list[Array]:
     """The joints (3, N) of a limb from its base on, and its end; none of other machines."""
-    values = {p.name: p.nominal for p in mechanism.parameters}
-    *ahead, (_, tip) = frames(way, data.readings, values)
+    *ahead, (_, tip) = frames(way, data.readings, mechanism.parameters.nominal)
     pairs = zip(way, ahead, strict=True)
     joints = [origin.T for step, (_, origin) in pairs if step.joint is not None]
     return [*joints, tip.T] if joints else []
