@@ -215,6 +215,11 @@ class Mechanism:
         return tuple(v.name for v in self.variables if v.name not in self.latest)
 
     @cached_property
+    def units(self) -> Mapping[str, str]:
+        """Name -> SI unit of all that a pose may have: quantities and known constants."""
+        return {**self.quantities, **self.pose_constants}
+
+    @cached_property
     def roles(self) -> Mapping[str, Role]:
         """What each parameter says, by name (see `loopcal.mechanisms.parameters.ROLES`)."""
         return {p.name: p.role for p in self.parameters}

@@ -99,7 +99,7 @@ def ranges_of(
     """
     outputs = {*mechanism.outputs, *mechanism.turns, *mechanism.implied, *mechanism.home}
     outputs |= {column for o in mechanism.orientations for column in o.columns}
-    units = {**mechanism.quantities, **mechanism.pose_constants}
+    units = mechanism.units
     limits = {q: (one.low, one.high) for q, one in joint_limits(mechanism).items()}
     ranges = {**limits, **stated}
     driven = [q for q in units if q not in outputs and q not in mechanism.disturbances]
@@ -236,7 +236,7 @@ def _sifted(
     gaps = gaps_of(mechanism)
     computed = {*mechanism.outputs, *mechanism.turns, *mechanism.disturbances}
     computed |= {column for o in mechanism.orientations for column in o.columns}
-    units = {**mechanism.quantities, **mechanism.pose_constants}
+    units = mechanism.units
     bare = {*units} - computed - gaps
     readings = {q: v for q, v in poses.readings.items() if q in bare}
     stated = np.isfinite(np.array([*readings.values()])).all(axis=0)
@@ -331,7 +331,7 @@ def _drawn(
 
 def _rounded(mechanism: Mechanism, readings: Mapping[str, Array]) -> dict[str, Array]:
     """As a person would type them, within their ranges but for rounding."""
-    units = {**mechanism.quantities, **mechanism.pose_constants}
+    units = mechanism.units
     rounded = {}
     for q, values in readings.items():
         step = STEP.get(units[q], 0.0)
@@ -530,7 +530,7 @@ def _incidence(
 
 
 def _forbidden(mechanism: Mechanism, rows: Dataset, data: Dataset) -> Mask:
-    units = {**mechanism.quantities, **mechanism.pose_constants}
+    units = mechanism.units
     shared = [q for q in rows.readings if q in data.readings and q not in mechanism.outputs]
     near = np.ones((len(data), len(rows)), dtype=bool)
     for q in shared:

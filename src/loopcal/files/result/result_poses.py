@@ -24,7 +24,7 @@ def read_result_poses(folder: Path, mechanism: Mechanism) -> Dataset | None:
     if not path.exists():
         return None
     refuse_stale(path)
-    stated = {**mechanism.quantities, **mechanism.pose_constants}
+    stated = mechanism.units
     columns = {name: Column(f"{name} [{unit}]") for name, unit in stated.items()}
     made = read_dataset(path, columns, pose="pose")
     # what is implied has a column, and blank cells where no instrument read it
