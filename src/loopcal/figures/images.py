@@ -32,6 +32,8 @@ from loopcal.figures.space import (
     arrow_traces,
     enlargement,
     machine_trace,
+    one_of,
+    shaded,
     space_layout,
 )
 from loopcal.presentation.shown import significant
@@ -238,8 +240,6 @@ def projection_sds(
         }
         for i, one in enumerate(maps)
     ]
-    menu = {"type": "buttons", "direction": "right", "buttons": buttons, "x": 0, "y": 1.0}
-    menu |= {"xanchor": "left", "yanchor": "bottom", "active": shown, "pad": {"b": 4}}
     sizes = ", ".join(
         f"{significant(float(np.nanmin(m.sds)) * m.pixel * 1e3, 2)} to "
         f"{significant(float(np.nanmax(m.sds)) * m.pixel * 1e3, 2)} mm at {_distance(m)}"
@@ -254,7 +254,7 @@ def projection_sds(
         "the lens. Where no corner is, the lens is extrapolated.",
         f"Sds over the image of {shown_text(plane.camera)}: {sizes}.",
         tuple(data),
-        plane.layout(updatemenus=[{**menu, "showactive": False}])
+        plane.layout(**one_of(buttons, shown))
         | {"legend": below, "margin": {"l": 8, "r": 8, "t": 48, "b": 8}},
         least_width=LEAST,
     )
@@ -321,14 +321,12 @@ def scene(
 def scene_traces(sights: Sequence[Sight], outlines: Sequence[Outline]) -> list[dict[str, Any]]:
     """The traces of a picture in space: boards by shade, cameras by name."""
     data: list[dict[str, Any]] = []
-    rms = np.array([one.rms for one in outlines])
-    edges = np.linspace(0.0, float(rms.max()), len(SHADES) + 1)
-    shade = np.clip(np.searchsorted(edges, rms, side="left") - 1, 0, len(SHADES) - 1)
+    shade, ends = shaded(np.array([one.rms for one in outlines]))
     for i, colour in enumerate(SHADES):
         some = [one for one, at in zip(outlines, shade, strict=True) if at == i]
         if some:
             lines, texts = _broken([one.points for one in some], [one.label for one in some])
-            name = f"boards up to {significant(float(edges[i + 1]), 2)} px"
+            name = f"boards up to {significant(ends[i], 2)} px"
             look = {"line": {"color": colour, "width": 3}, "text": names(texts)}
             data.append(spots("lines", lines, name=name, hoverinfo="text", **look))
     middle = np.mean([one.points.mean(axis=0) for one in outlines], axis=0)

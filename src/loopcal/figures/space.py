@@ -8,6 +8,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.figures.figure import Figure, axis, layout, names, spots, thinned
@@ -88,19 +89,25 @@ def arrow_traces(
     at: Array, along: Array, size: Array, labels: Sequence[str], words: str
 ) -> list[dict[str, Any]]:
     """Arrows by shade, and a mark at each point that names its pose."""
-    edges = np.linspace(0.0, float(np.nanmax(size)), len(SHADES) + 1)
-    shade = np.clip(np.searchsorted(edges, size, side="left") - 1, 0, len(SHADES) - 1)
+    shade, ends = shaded(size)
     traces = []
     for i, colour in enumerate(SHADES):
         which = (shade == i) & np.isfinite(size)
         if which.any():
             lines = arrow_lines(at[:, which], along[:, which])
-            name = f"up to {significant(float(edges[i + 1]), 2)} {words}"
+            name = f"up to {significant(ends[i], 2)} {words}"
             line = {"color": colour, "width": 2}
             traces.append(spots("lines", lines, name=name, line=line, hoverinfo="skip"))
     marks = {"color": [SHADES[i] for i in shade], "size": 2 if len(at) == 3 else 5}
     hover = {"text": names(labels), "hoverinfo": "text", "showlegend": False}
     return [*traces, spots("markers", at, name="pose", marker=marks, **hover)]
+
+
+def shaded(size: Array) -> tuple[NDArray[np.intp], list[float]]:
+    """(n,) the shade of each size, in steps up to the largest, and where each of them ends."""
+    edges = np.linspace(0.0, float(np.nanmax(size)), len(SHADES) + 1)
+    shade = np.clip(np.searchsorted(edges, size, side="left") - 1, 0, len(SHADES) - 1)
+    return shade, edges[1:].tolist()
 
 
 def machine_trace(machine: Machine) -> dict[str, Any]:
@@ -126,8 +133,13 @@ def _switch(stages: Sequence[str], still: int, of: Sequence[str]) -> dict[str, A
         }
         for stage in stages
     ]
+    return one_of(buttons, len(stages) - 1)
+
+
+def one_of(buttons: Sequence[Mapping[str, Any]], active: int) -> dict[str, Any]:
+    """Buttons in a row above the figure; active: the one whose traces are shown first."""
     menu = {"type": "buttons", "direction": "right", "buttons": buttons, "x": 0, "y": 1.0}
-    place = {"xanchor": "left", "yanchor": "bottom", "active": len(stages) - 1, "pad": {"b": 4}}
+    place = {"xanchor": "left", "yanchor": "bottom", "active": active, "pad": {"b": 4}}
     # plotly marks the active button in white, also on a dark page
     return {"updatemenus": [{**menu, **place, "showactive": False}]}
 

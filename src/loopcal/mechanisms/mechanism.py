@@ -215,6 +215,11 @@ class Mechanism:
         return tuple(v.name for v in self.variables if v.name not in self.latest)
 
     @cached_property
+    def units(self) -> Mapping[str, str]:
+        """Name -> SI unit of all that a pose may have: quantities and known constants."""
+        return {**self.quantities, **self.pose_constants}
+
+    @cached_property
     def roles(self) -> Mapping[str, Role]:
         """What each parameter says, by name (see `loopcal.mechanisms.parameters.ROLES`)."""
         return {p.name: p.role for p in self.parameters}
@@ -435,7 +440,7 @@ class Mechanism:
                 code="unsupported",
                 remedy="calibrate it, and use result.predict(readings)",
             )
-        nominal = {p.name: p.nominal for p in self.parameters}
+        nominal = self.parameters.nominal
         joints = tuple(self.joints)
         return forward_kinematics(lambda x: ChainFrame(self.chain, x, nominal), q, joints)
 

@@ -162,6 +162,11 @@ class Parameters:
         """Names of the parameters that are estimated, in order."""
         return tuple([p.name for p in self.items if not p.fixed])
 
+    @cached_property
+    def nominal(self) -> Mapping[str, float]:
+        """Name -> nominal value [SI], in order."""
+        return {p.name: p.nominal for p in self.items}
+
     def of_role(self, *roles: Role) -> tuple[str, ...]:
         """Names of the parameters with one of these roles, in order."""
         return tuple([p.name for p in self.items if p.role in roles])

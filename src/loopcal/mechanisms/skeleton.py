@@ -28,7 +28,7 @@ def skeleton(mechanism: Mechanism, joints: Mapping[str, float]) -> Array | None:
     joints: readings [m, rad] of one pose. In the instrument's frame, with the mechanism's own
     parameters; None for mechanisms that are not machines of a known kind.
     """
-    values = {p.name: p.nominal for p in mechanism.parameters}
+    values = mechanism.parameters.nominal
     described = mechanism.description or {}
     if described.get("type") == "planar-two-link":
         return None if mechanism.families else _planar(values, joints)
@@ -97,7 +97,7 @@ def tree_poses(mechanism: Mechanism, readings: Mapping[str, Array], body: str) -
 
     NaN where a joint is not read; None where nothing places the body.
     """
-    values = {p.name: p.nominal for p in mechanism.parameters}
+    values = mechanism.parameters.nominal
     count = len(next(iter(readings.values()), ()))
     T_drawn_base = product(drawn_in(mechanism), {}, values)
     root = BASE if mechanism.tree is None else mechanism.tree.root
@@ -170,8 +170,8 @@ def _parallel_lines(
     x = _located(mechanism, readings)
     if machine.lines is None or x is None:
         return None
-    values = {p.name: p.nominal for p in mechanism.parameters}
-    return [np.array(line, dtype=float) for line in machine.lines(x, values)]
+    lines = machine.lines(x, mechanism.parameters.nominal)
+    return [np.array(line, dtype=float) for line in lines]
 
 
 def _located(mechanism: Mechanism, readings: Mapping[str, float]) -> dict[str, float] | None:

@@ -248,7 +248,7 @@ def unstationed(mechanism: Mechanism) -> Mechanism:
     gone, bare = chain.station.parameters, ChainPlacement.of(chain.steps, chain.tool)
     assert isinstance(chain.station, Station)
     assert bare is not None
-    values = {p.name: p.nominal for p in mechanism.parameters}
+    values = mechanism.parameters.nominal
     T = product(chain.station.steps, {}, values)
     (family,) = mechanism.families
     # The station at zero drops out of the loops; the geometry is moved in its place below.

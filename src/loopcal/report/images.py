@@ -223,7 +223,7 @@ def projection_sd(source: Source, view: CameraView, P: Array) -> Array:
     kept = [i for i, name in enumerate(covariance.names) if name in wanted]
     every = np.array(covariance.matrix, dtype=float).reshape((len(covariance.names),) * 2)
     S = every[np.ix_(kept, kept)]
-    values = {p.name: p.nominal for p in source.mechanism.parameters}
+    values = source.mechanism.parameters.nominal
     lens = view.intrinsics.lens
 
     def place(values: Mapping[str, float]) -> Array:
@@ -263,7 +263,7 @@ def sights_and_outlines(
     What stands still is there once.
     """
     assert source.mechanism is not None
-    values = {p.name: p.nominal for p in source.mechanism.parameters}
+    values = source.mechanism.parameters.nominal
     sights, outlines = [], []
     lasting: dict[str, Array] = {}
     for view in views:
@@ -293,10 +293,10 @@ def _edge(board: Board) -> Array:
     return np.array([(a, b, z), (c, b, z), (c, d, z), (a, d, z), (a, b, z)])
 
 
-def _by_image(view: CameraView) -> Array:
-    """(N,) rms [px] of each image; NaN without corners."""
+def _by_image(view: CameraView, unit: Array | float = 1.0) -> Array:
+    """(N,) rms of each image [px], or where a pixel is so large [unit]; NaN without corners."""
     count = np.bincount(view.image, minlength=len(view.T)).astype(float)
-    squares = np.square(view.residuals).sum(axis=0)
+    squares = np.square(view.residuals).sum(axis=0) * unit**2
     total = np.bincount(view.image, squares, minlength=len(view.T))
     return np.where(count > 0.0, np.sqrt(total / np.maximum(count, 1.0)), np.nan)
 
@@ -309,7 +309,8 @@ def image_table(source: Source) -> Table | None:
     named = {one.pose: one for one in source.document.outliers or ()}
     entries = []
     for view in views:
-        rms, at_board = _by_image(view), _at_board(view)
+        # NaN where the board's distance is not known.
+        rms, at_board = _by_image(view), _by_image(view, view.distance / view.intrinsics.fx)
         usual = np.median(np.unique(view.image, return_counts=True)[1])
         for image in np.unique(view.image):
             pose = source.table.poses[image]
@@ -339,12 +340,3 @@ def image_table(source: Source) -> Table | None:
 
 MOST_IMAGES = 40
 """Lines of the table; the residuals of all images are in residuals.csv."""
-
-
-def _at_board(view: CameraView) -> Array:
-    """(N,) rms [m] of each image at its board; NaN where the board's distance is not known."""
-    pixel = view.distance / view.intrinsics.fx
-    squares = np.square(view.residuals).sum(axis=0) * pixel**2
-    count = np.bincount(view.image, minlength=len(view.T)).astype(float)
-    total = np.bincount(view.image, squares, minlength=len(view.T))
-    return np.where(count > 0.0, np.sqrt(total / np.maximum(count, 1.0)), np.nan)

@@ -58,7 +58,7 @@ def _placed(
     mechanism: Mechanism, family: Family, readings: Readings, measured: Array, computed: Array
 ) -> Sighting:
     """Points that an instrument states in its frame (d, N)."""
-    values = {p.name: p.nominal for p in mechanism.parameters}
+    values = mechanism.parameters.nominal
     steps = family.placement.steps if isinstance(family.placement, Station) else ()
     root = "" if mechanism.tree is None else mechanism.tree.root
     if family.against in ("base", root) and steps == drawn_in(mechanism):
@@ -178,9 +178,6 @@ def body_pose(mechanism: Mechanism, readings: Readings, body: str) -> Array:
     constants = mechanism.pose_constants
     # A quaternion that is not read is that of no turn.
     unturned = {name: np.full(count, float(name.endswith("w"))) for name in constants}
-    T = tree_poses(mechanism, {**unturned, **_implied(mechanism, count), **readings}, body)
+    implied = {name: np.full(count, value) for name, value in mechanism.implied.items()}
+    T = tree_poses(mechanism, {**unturned, **implied, **readings}, body)
     return np.full((count, 4, 4), np.nan) if T is None else T
-
-
-def _implied(mechanism: Mechanism, count: int) -> Readings:
-    return {name: np.full(count, value) for name, value in mechanism.implied.items()}

@@ -162,10 +162,6 @@ def _with_error(document: ResultDocument) -> bool:
 
 def parameter_cells(entry: ParameterEntry, document: ResultDocument) -> tuple[str, ...]:
     """Nominal and calibrated value, sd, change in sds, and how much of it the prior says."""
-    return _parameter(entry, _with_error(document))
-
-
-def _parameter(entry: ParameterEntry, with_error: bool) -> tuple[str, ...]:
     unit, sd, change = entry.unit, entry.sd, entry.value - entry.nominal
     cells = [entry.name, by_sd(entry.nominal, sd, unit), by_sd(entry.value, sd, unit)]
     if entry.fixed:
@@ -181,7 +177,7 @@ def _parameter(entry: ParameterEntry, with_error: bool) -> tuple[str, ...]:
             f"{change / sd:+z.1f}" if sd else NONE,
             percent(share),
         ]
-    if with_error:
+    if _with_error(document):
         error = entry.error
         cells.append(NONE if error is None else by_sd(error, sd, unit, sign=True))
     return tuple(cells)

@@ -165,7 +165,7 @@ def _exact(
     quantities = dict(zip(mechanism.tape.quantities, true, strict=True))
     return Dataset(
         {**quantities, **constants},
-        {**mechanism.quantities, **mechanism.pose_constants},
+        mechanism.units,
         driven.poses,
         # no sd beside a lost reading: it is lost in the simulation too
         {q: np.where(np.isnan(sd), np.inf, sd) for q, sd in driven.sds.items() if q in quantities},

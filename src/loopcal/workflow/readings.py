@@ -56,7 +56,7 @@ def readings(data: Any, mechanism: Mechanism, units: Units = None) -> Dataset:
                 remedy="remove units, or give them to Dataset.from_arrays",
             )
         return data
-    units_of = {**mechanism.quantities, **mechanism.pose_constants}
+    units_of = mechanism.units
     from_file = isinstance(data, str | Path)
     source = read_once(data) if from_file else data
     names = column_labels(source) if from_file else column_names(data)

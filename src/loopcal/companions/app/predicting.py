@@ -104,7 +104,7 @@ class Probe:
             for q, value in self.predictor.typical.items()
             if q not in joints
         }
-        units = {**self.predictor.mechanism.quantities, **self.predictor.mechanism.pose_constants}
+        units = self.predictor.mechanism.units
         readings = {q: v for q, v in {**others, **joints}.items() if q in units}
         return predict(
             self.predictor, Dataset.from_arrays(readings, units={q: units[q] for q in readings})

@@ -91,8 +91,7 @@ class Scene:
         """(n, 3) the corners of the links' shapes."""
         if self.links is None or not self.links.corners:
             return None
-        values = {p.name: p.nominal for p in self.mechanism.parameters}
-        T = product(drawn_in(self.mechanism), {}, values)
+        T = product(drawn_in(self.mechanism), {}, self.mechanism.parameters.nominal)
         return self.links.placed(joints) @ T[:3, :3].T + T[:3, 3]
 
     def limbs(self, joints: Mapping[str, float]) -> Array | None:

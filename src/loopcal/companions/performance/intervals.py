@@ -86,13 +86,14 @@ def _length_bounds(value: float, covariance: Array, along: float, t: float) -> E
 
     # Six sds beyond the interval: the upper bound lies inside.
     reach = value + (t + 6.0) * math.sqrt(trace)
-    low = 0.0 if 1.0 - at_most(0.0) >= tail else _crossing(at_most, 1.0 - tail, 0.0, reach)
-    high = 0.0 if at_most(0.0) <= tail else _crossing(at_most, tail, 0.0, reach)
+    low = 0.0 if 1.0 - at_most(0.0) >= tail else _crossing(at_most, 1.0 - tail, reach)
+    high = 0.0 if at_most(0.0) <= tail else _crossing(at_most, tail, reach)
     return Estimate(value, low, max(high, value + math.sqrt(along)))  # never an empty interval
 
 
-def _crossing(falling: Callable[[float], float], level: float, low: float, high: float) -> float:
-    """Where a falling function passes a level."""
+def _crossing(falling: Callable[[float], float], level: float, high: float) -> float:
+    """Where a falling function passes a level, above 0."""
+    low = 0.0
     for _ in range(50):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if falling(middle) > level else (low, middle)

@@ -99,7 +99,7 @@ def ranges_of(
     """
     outputs = {*mechanism.outputs, *mechanism.turns, *mechanism.implied, *mechanism.home}
     outputs |= {column for o in mechanism.orientations for column in o.columns}
-    units = {**mechanism.quantities, **mechanism.pose_constants}
+    units = mechanism.units
     limits = {q: (one.low, one.high) for q, one in joint_limits(mechanism).items()}
     ranges = {**limits, **stated}
     driven = [q for q in units if q not in outputs and q not in mechanism.disturbances]
@@ -236,7 +236,7 @@ def _sifted(
     gaps = gaps_of(mechanism)
     computed = {*mechanism.outputs, *mechanism.turns, *mechanism.disturbances}
     computed |= {column for o in mechanism.orientations for column in o.columns}
-    units = {**mechanism.quantities, **mechanism.pose_constants}
+    units = mechanism.units
     bare = {*units} - computed - gaps
     readings = {q: v for q, v in poses.readings.items() if q in bare}
     stated = np.isfinite(np.array([*readings.values()])).all(axis=0)
@@ -331,7 +331,7 @@ def _drawn(
 
 def _rounded(mechanism: Mechanism, readings: Mapping[str, Array]) -> dict[str, Array]:
     """As a person would type them, within their ranges but for rounding."""
-    units = {**mechanism.quantities, **mechanism.pose_constants}
+    units = mechanism.units
     rounded = {}
     for q, values in readings.items():
         step = STEP.get(units[q], 0.0)
@@ -439,8 +439,7 @@ def _base(mechanism: Mechanism, family: Family) -> Array:
     station = family.placement or mechanism.placement
     if not isinstance(station, Station):
         return np.eye(4)
-    values = {p.name: p.nominal for p in mechanism.parameters}
-    return inverse(product(station.steps, {}, values))
+    return inverse(product(station.steps, {}, mechanism.parameters.nominal))
 
 
 def _moved(T: Array, at: Array) -> Array:
@@ -460,7 +459,7 @@ def _of_whole_robot(
             code="unsupported",
             remedy="leave out sight; state poses that may not be measured as forbidden rows",
         )
-    values = {p.name: p.nominal for p in mechanism.parameters}
+    values = mechanism.parameters.nominal
     left, refused = so_far.poses, dict(so_far.refused)
     outside, hit = (np.zeros(len(data), dtype=bool) for _ in range(2))
     for leaf in mechanism.tree.leaves:
@@ -492,8 +491,7 @@ def _kept_out(site: PlanSettings, way: list[Array]) -> Mask:
 
 def _links(way: Sequence[Step], mechanism: Mechanism, data: Dataset) -> list[Array]:
     """The joints (3, N) of a limb from its base on, and its end; none of other machines."""
-    values = {p.name: p.nominal for p in mechanism.parameters}
-    *ahead, (_, tip) = frames(way, data.readings, values)
+    *ahead, (_, tip) = frames(way, data.readings, mechanism.parameters.nominal)
     pairs = zip(way, ahead, strict=True)
     joints = [origin.T for step, (_, origin) in pairs if step.joint is not None]
     return [*joints, tip.T] if joints else []
@@ -532,7 +530,7 @@ def _incidence(
 
 
 def _forbidden(mechanism: Mechanism, rows: Dataset, data: Dataset) -> Mask:
-    units = {**mechanism.quantities, **mechanism.pose_constants}
+    units = mechanism.units
     shared = [q for q in rows.readings if q in data.readings and q not in mechanism.outputs]
     near = np.ones((len(data), len(rows)), dtype=bool)
     for q in shared:

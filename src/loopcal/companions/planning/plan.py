@@ -67,7 +67,6 @@ from loopcal.companions.planning.planned import (
 from loopcal.companions.planning.search import (
     Chosen,
     Criterion,
-    Progress,
     choose,
     criterion_value,
     inverse,
@@ -79,6 +78,7 @@ from loopcal.estimation.noise.learning import with_model
 from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.estimation.steps import started
+from loopcal.execution.executor import Progress
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.measurements.plan_settings import PlanSettings

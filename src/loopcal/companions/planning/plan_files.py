@@ -18,13 +18,13 @@ from loopcal.companions.planning.candidates import ranges_of
 from loopcal.companions.planning.occasions import occasions
 from loopcal.companions.planning.page import plan_html
 from loopcal.companions.planning.planned import Plan
-from loopcal.companions.planning.search import Progress
 from loopcal.companions.robot.programs.coordinates import JointAxes
 from loopcal.companions.robot.programs.dialect import Stops
 from loopcal.companions.robot.programs.program import refuse_redundant
 from loopcal.companions.robot.programs.registry import WRITTEN
 from loopcal.errors import InputError
 from loopcal.estimation.result import FitResult
+from loopcal.execution.executor import Progress
 from loopcal.files.atomic import write_all, write_atomic
 from loopcal.files.json_files import marked, marked_json
 from loopcal.files.outputs import expanded, one_command, refuse_foreign
@@ -32,7 +32,7 @@ from loopcal.files.project.project_data import load_dataset
 from loopcal.files.project.project_file import Project
 from loopcal.files.project.readings_file import readings_tables
 from loopcal.files.result.deployed import PLAN, note_deployed, result_path
-from loopcal.files.result.result_poses import poses_of_result
+from loopcal.files.result.result_poses import poses_of_result, without_poses
 from loopcal.files.tables.writer import Column
 from loopcal.files.toml.place import Place
 from loopcal.measurements.dataset import Dataset
@@ -223,12 +223,7 @@ def of_calibration(result: Any) -> PlanningBasis:
     """What a calibration leaves to plan from: its machine, learnt sds and poses."""
     calibrated = _calibrated(result)
     if calibrated.poses is None:
-        raise InputError(
-            "the result has no residuals.csv, which holds its readings",
-            code="missing-file",
-            place=calibrated.name,
-            remedy="give the file of readings",
-        )
+        raise without_poses(calibrated.name)
     names = calibrated.mechanism.parameters.names
     sds = dict(zip(names, calibrated.prior_sd.tolist(), strict=True))
     mechanism = calibrated.mechanism.with_parameters(

@@ -13,7 +13,7 @@ Fedorov (1972), Theory of Optimal Experiments; Miller and Nguyen (1994) for its 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -23,10 +23,9 @@ from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.companions.planning.information import Information
+from loopcal.execution.executor import Progress
 
 Criterion = Literal["I", "G", "D", "A"]
-Progress = Callable[[int, int], None]
-"""Called with how many poses were chosen or tried for exchange, and how many there will be."""
 _SUDDEN = 1e4
 """So large a fall of variance leaves A and Q without digits: they are computed anew."""
 _SINGULAR = 1e-9

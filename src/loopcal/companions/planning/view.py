@@ -39,7 +39,7 @@ def in_image(mechanism: Mechanism, data: Dataset) -> dict[str, Mask]:
 
     Without a stated size the image is twice as large as its principal point is from its corner.
     """
-    values = {p.name: p.nominal for p in mechanism.parameters}
+    values = mechanism.parameters.nominal
     stated = {one.name: one.intrinsics.image for one in all_cameras(mechanism)}
     inside = {}
     for family in _cameras(mechanism):
@@ -57,7 +57,7 @@ def _cameras(mechanism: Mechanism) -> list[Family]:
 
 def _faces(mechanism: Mechanism, family: Family, joints: Dataset) -> Mask:
     eye = family.readings[0].split(":")[0]
-    values = {p.name: p.nominal for p in mechanism.parameters}
+    values = mechanism.parameters.nominal
     M = boards_in_camera(mechanism, family, joints.readings, len(joints))
     half = np.array([values[f"{eye}_cx"], values[f"{eye}_cy"]]) / values[f"{eye}_f"]
     ahead = M[:, 2, 3] > 0.0

@@ -97,9 +97,10 @@ def record(
     path = path if path.name == "result.json" else path / "result.json"
     saved = read_result(path)
     document = saved.document
-    stated = _stated_by(document) if project is None else _stated(Path(project))
+    named = None if project is None else Path(project)
+    stated = _stated(document, named)
     page = path.with_name(PAGE) if out is None else Path(out)
-    files = record_files(path, document, page, None if project is None else Path(project))
+    files = record_files(path, document, page, named)
     content = record_content(document, stated, files, *_budgets(saved, stated))
     html = record_page(content)
     # Ahead of all writing: what does not validate is not written (docs/decisions/0083).
@@ -153,22 +154,15 @@ def verify_record(path: str | Path) -> RecordCheck:
     return check_record(path)
 
 
-def _stated(project: Path) -> dict[str, Any]:
-    """[record] of a project file as it is now."""
+def _stated(document: ResultDocument, project: Path | None) -> dict[str, Any]:
+    """[record] of a project file as it is now, else of the project as it was calibrated."""
     from loopcal.files.project.project_schema import ProjectTables
     from loopcal.files.toml.tables import read_tables
 
-    place = Place(str(project))
-    data = read_toml(project)
-    checked_schema(data, place)
+    if project is None:
+        place, stated = Place("result.json").at("inputs"), document.inputs.get("record") or {}
+        data: Mapping[str, Any] = {"schema": 1, "record": stated}
+    else:
+        place, data = Place(str(project)), read_toml(project)
+        checked_schema(data, place)
     return asdict(read_tables(ProjectTables, data, place).made("record"))
-
-
-def _stated_by(document: ResultDocument) -> dict[str, Any]:
-    """[record] of the project as it was calibrated; a result of another program may hold others."""
-    from loopcal.files.project.project_schema import ProjectTables
-    from loopcal.files.toml.tables import read_tables
-
-    stated = document.inputs.get("record") or {}
-    place = Place("result.json").at("inputs")
-    return asdict(read_tables(ProjectTables, {"schema": 1, "record": stated}, place).made("record"))

@@ -147,7 +147,7 @@ def _machine(
     station = next(
         (f.placement for f in calibrated.families if isinstance(f.placement, Station)), None
     )
-    values = {p.name: p.nominal for p in calibrated.parameters}
+    values = calibrated.parameters.nominal
     points = {_TOOL: tool.point, **_BODY}
     looked_at = with_points(calibrated, points, station.name if station else None)
     looked_at = looked_at.with_nominal(values)
@@ -218,7 +218,7 @@ def _controller(
     joints: tuple[str, ...],
 ) -> ArmPose:
     chain = calibrated.chain if controller is None else controller.chain
-    values = nominal if controller is None else {p.name: p.nominal for p in controller.parameters}
+    values = nominal if controller is None else controller.parameters.nominal
     names = tuple(dict.fromkeys(step.parameter for step in chain if step.parameter))
     return ArmPose(
         _chain_tape(chain, joints, names, tool),

@@ -216,7 +216,7 @@ class _Full:
     @property
     def standing(self) -> dict[str, float]:
         """The floating parameters in the full model, and those of a point that is looked at."""
-        looked_at = {p.name: p.nominal for p in self.predictor.mechanism.parameters}
+        looked_at = self.predictor.mechanism.parameters.nominal
         added = {n: v for n, v in looked_at.items() if n.startswith(_POINT)}
         return {**added, **dict.fromkeys(self.floating, 0.0)}
 

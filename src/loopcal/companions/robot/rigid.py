@@ -96,7 +96,7 @@ def tool_of(
     point = tuple(n for n in names if units[n] == "m")[:3]
     turns = tuple(n for n in names if units[n] == "rad")
     turns = turns if len(turns) == 3 else ()
-    values = [_numbers(point, turns, {p.name: p.nominal for p in mechanism.parameters})]
+    values = [_numbers(point, turns, mechanism.parameters.nominal)]
     values.append(_numbers(point, turns, nominal) if stated == NOMINAL else values[0])
     if len(point) < 3:
         return Tool((0.0, 0.0, 0.0), (), values[0], values[0])

@@ -25,7 +25,7 @@ from loopcal.companions.studies.tables import (
     tables,
 )
 from loopcal.errors import InputError, Unfinished, UsageError
-from loopcal.execution.executor import Executor
+from loopcal.execution.executor import Executor, Progress
 from loopcal.execution.local import Processes
 from loopcal.files.atomic import write_atomic, write_files
 from loopcal.files.json_files import marked_json
@@ -37,10 +37,6 @@ from loopcal.units import from_si
 
 if TYPE_CHECKING:
     import polars as pl
-
-
-Progress = Callable[[int, int], None]
-"""Called with how many draws are done, and how many were to be done in this run."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +63,8 @@ def run_study(
     """Run the draws of a study that its folder does not hold yet, and make its tables.
 
     draws: of each scenario, instead of the study's; executor: who does them, by default processes,
-    one for each core; sharing: called with it once the study can be run; out: the folder, by
+    one for each core; sharing: called with it once the study can be run; progress: with how many
+    draws are done, and how many were to be done in this run; out: the folder, by
     default NAME-study beside the study NAME.toml. Neither the executor nor where a run was stopped
     changes any value.
 

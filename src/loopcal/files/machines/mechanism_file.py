@@ -135,22 +135,14 @@ def mechanism_from_data(
 
         made = affected(made, table.effect, scope, place.at("effect"))
 
-    if isinstance(table, MachineTable) and table.same:
-        with placed(place.at("same")):
-            made = made.with_same(table.same)
+    for key, change_by in _STATED.items():
+        if (value := getattr(table, key, None)) not in (None, (), {}):
+            with placed(place.at(key)):
+                made = change_by(made, value)
 
     def stated(parameters: Parameters) -> Parameters:
         return changed(parameters, entries, place.at("parameters"), units)
 
-    if isinstance(table, ArmTable) and table.gravity is not None:
-        with placed(place.at("gravity")):
-            made = made.with_gravity(table.gravity)
-    if isinstance(table, ArmTable) and table.mass:
-        with placed(place.at("mass")):
-            made = with_masses(made, table.mass)
-    if isinstance(table, ArmTable) and table.payload is not None:
-        with placed(place.at("payload")):
-            made = with_payload(made, table.payload)
     if isinstance(table, ChainTable):
         made = replace(made, remarks=table.remarks)
         if table.fix_redundant:
@@ -163,6 +155,15 @@ def mechanism_from_data(
         made = _seen_from(made, table.station, place)
     parameters_place = place.at("parameters")
     return made.with_parameters(changed(made.parameters, of_station, parameters_place, units))
+
+
+_STATED: Mapping[str, Callable[[Mechanism, Any], Mechanism]] = {
+    "same": Mechanism.with_same,
+    "gravity": Mechanism.with_gravity,
+    "mass": with_masses,
+    "payload": with_payload,
+}
+"""Key of a machine's table -> what it changes, in this order."""
 
 
 def _seen_from(mechanism: Mechanism, station: str, place: Place) -> Mechanism:

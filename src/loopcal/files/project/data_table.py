@@ -195,7 +195,7 @@ def data_files(
     """
     if table is None:
         return None
-    units = {**mechanism.quantities, **mechanism.pose_constants}
+    units = mechanism.units
     main = _with_units(table, units, place)
     joins = _several(table.join, mechanism, place.at("join"))
     if not isinstance(table.file, str):
@@ -232,7 +232,7 @@ def _several(
 
     Raises InputError for an instrument that is not there, or reads something.
     """
-    units = {**mechanism.quantities, **mechanism.pose_constants}
+    units = mechanism.units
     for i, other in enumerate(tables):
         for name in other.instrument:
             silent = [f.name for f in mechanism.families if implied_by(mechanism, f.name)]
@@ -294,7 +294,7 @@ def _named_columns(
 
     elsewhere: quantities that another file is stated to hold.
     """
-    units = {**mechanism.quantities, **mechanism.pose_constants}
+    units = mechanism.units
     named = [q for q in units if q in labels and q not in elsewhere]
     by_name = {q: table.column(q, units[q]) for q in named}
     return replace(table, columns={**by_name, **table.columns})

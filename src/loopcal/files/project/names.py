@@ -18,7 +18,7 @@ DEVIATING = "parameter that may deviate"
 
 def scope_of(mechanism: Mechanism) -> Scope:
     """The names of a mechanism, with their SI units; that of distances for what has no name."""
-    units = {**mechanism.quantities, **mechanism.pose_constants}
+    units = mechanism.units
     names = {
         QUANTITY: _quantities(units),
         DRIVEN: _driven(mechanism, mechanism.quantities),

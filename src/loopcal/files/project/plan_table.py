@@ -27,12 +27,17 @@ def span(
 ) -> tuple[float, float]:
     """A range, from a number to a larger one."""
     if not from_ < to:
-        raise InputError(
-            f"the range goes from {from_:g} to {to:g} (SI)",
-            code="invalid-value",
-            remedy="give the smaller number first",
-        )
+        raise reversed_range(from_, to)
     return from_, to
+
+
+def reversed_range(low: float, high: float) -> InputError:
+    """The error for a range whose ends [SI] are not in order."""
+    return InputError(
+        f"the range goes from {low:g} to {high:g} (SI)",
+        code="invalid-value",
+        remedy="give the smaller number first",
+    )
 
 
 Span = Annotated[tuple[float, float], Made(span)]

@@ -64,7 +64,7 @@ def load_dataset(project: Project) -> LoadedData:
         )
     read, join_warnings = _read(project, spec, place, columns_aside(project))
     loaded = loaded_from(project, read)
-    units = {**project.mechanism.quantities, **project.mechanism.pose_constants}
+    units = project.mechanism.units
     read_as_0 = project.mechanism.implied.keys() & loaded.dataset.readings.keys()
     silent = [q for q in read_as_0 if not np.nan_to_num(loaded.dataset.readings[q]).any()]
     points = measured_points(project.mechanism)
@@ -83,7 +83,7 @@ def columns_aside(project: Project) -> dict[str, Column]:
 
 def loaded_from(project: Project, read: Dataset) -> LoadedData:
     """The readings of a project out of its columns, read with those aside; nothing is checked."""
-    units = {**project.mechanism.quantities, **project.mechanism.pose_constants}
+    units = project.mechanism.units
     dataset = replace(
         read,
         readings={q: v for q, v in read.readings.items() if q in units},
@@ -281,7 +281,7 @@ def read_new_readings(
     read where the file has their columns. Raises InputError as `read_dataset` does.
     """
     spec = _spec(inputs, mechanism)
-    units = {**mechanism.quantities, **mechanism.pose_constants}
+    units = mechanism.units
     needless = set() if whole else {*mechanism.outputs, *mechanism.predicting().unused}
     paths = (path,) if isinstance(path, str | Path) else tuple(path)
     if spec.apart:

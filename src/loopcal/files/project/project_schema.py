@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import core_schema
 
-from loopcal.errors import InputError, placed
+from loopcal.errors import placed, refuse_repeated
 from loopcal.files.machines.attached import Effects, Instruments
 from loopcal.files.machines.parameter_entries import (
     PARAMETERS,
@@ -85,20 +85,13 @@ class CompareTable:
 
     def models(self, mechanism: Mechanism, place: Place) -> Mapping[str, Model]:
         """By name. Raises InputError for two of one name, effects and parameters not there."""
-        by_name: dict[str, ModelTable] = {}
+        names = [stated.name for stated in self.model]
+        at = place.at("model")
+        refuse_repeated(names, "{!r} names two models", place=lambda i: at.at(i, "name"))
         for i, stated in enumerate(self.model):
-            at = place.at("model", i)
-            if stated.name in by_name:
-                raise InputError(
-                    f"{stated.name!r} names two models",
-                    code="duplicate-name",
-                    place=str(at.at("name")),
-                    remedy="give each a unique name",
-                )
-            by_name[stated.name] = stated
-            with placed(at):
-                with_only(mechanism, by_name[stated.name])
-        return by_name
+            with placed(at.at(i)):
+                with_only(mechanism, stated)
+        return dict(zip(names, self.model, strict=True))
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from loopcal.errors import InputError
 from loopcal.files.project.names import DEVIATING, PARAMETER, RANGED, followers
 from loopcal.files.project.noise_table import NOISE, Noises, StatedNoise, noises
-from loopcal.files.project.plan_table import SPAN
+from loopcal.files.project.plan_table import SPAN, reversed_range
 from loopcal.files.toml.place import Place
 from loopcal.keys import CONTEXT, Key, Made
 from loopcal.mechanisms.mechanism import Mechanism
@@ -112,11 +112,7 @@ def driven_range(
 ) -> Range:
     """Where a quantity is driven in a simulation."""
     if to < from_:
-        raise InputError(
-            f"the range goes from {from_:g} to {to:g} (SI)",
-            code="invalid-value",
-            remedy="give the smaller number first",
-        )
+        raise reversed_range(from_, to)
     # the last step counts although 0.1 * 10 may round to more than 1
     count = 1 if step is None else math.floor(min((to - from_) / step, 1e15) + 1e-9) + 1
     return Range(from_, to, step, count)

@@ -101,7 +101,7 @@ class ParquetStream:
         """
         loaded = self._loaded(self._parts[0])
         mechanism = self.project.mechanism
-        units = {**mechanism.quantities, **mechanism.pose_constants}
+        units = mechanism.units
         odd = check_dataset(loaded.dataset, units, points=measured_points(mechanism))
         return (*odd, *self._repeated_files(), *self._folders_inside())
 

@@ -99,7 +99,7 @@ def records_table(text: Text) -> tuple[Table, str] | None:
     words = [re.findall(r"\w+", match[1]) for match in _NAMES.finditer(content)]
     named = words[0] if len(words) == count == words.count(words[0]) else []
     arrays = {key: a for name, runs in groups.items() for key, a in _arrays(name, runs).items()}
-    table = by_columns(arrays, text.file, None, text.sha256, count, tuple(named))
+    table = by_columns(arrays, text.file, text.sha256, count, tuple(named))
     ids = _ids(content, groups)
     if ids and "pose" not in table.names:
         cells = {**table.columns, len(table.names): ids}

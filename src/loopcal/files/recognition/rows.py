@@ -199,7 +199,7 @@ def rows_of(
     """
     rows, words = Rows(), list[str]()
     families = {family.name: family for family in mechanism.families}
-    units = {**mechanism.quantities, **mechanism.pose_constants}
+    units = mechanism.units
     several = len(sources) > 1
     for source in sources:
         mine = [one for one in looking if one.of_file(source.path)]
@@ -339,7 +339,7 @@ def _seen(
     columns: Mapping[str, Field], chosen: Any, family: Family, mechanism: Mechanism
 ) -> dict[str, Array]:
     """The readings of an observation in the chosen rows of a file, gaps of what touches as 0."""
-    units = {**mechanism.quantities, **mechanism.pose_constants}
+    units = mechanism.units
     silent = [q for q in family.readings if q in mechanism.implied]
     seen = {q: np.where(chosen, v, np.nan) for q, v in in_si(columns, units).items()}
     complete = np.all([np.isfinite(v) for v in seen.values()], axis=0) if seen else chosen
@@ -387,7 +387,7 @@ def later_rows(
     """
     looking = [replace(one, table=with_readings(one)) for one in observe]
     rows, _ = rows_of(sources, mechanism, looking, pixels, later=True)
-    units = {**mechanism.quantities, **mechanism.pose_constants}
+    units = mechanism.units
     seen = [q for one in mechanism.families for q in one.readings]
     names = dict.fromkeys((*mechanism.joints, *seen, *rows.columns))
     readings = {q: rows.values(q) for q in names}

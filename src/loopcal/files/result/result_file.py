@@ -101,7 +101,7 @@ def read_result(path: str | Path) -> ResultDocument:
     except ValidationError as error:
         raise _first_complaint(error, content, Place(str(path))) from None
 
-    refuse_other_shapes(document, Place(str(path)), _REMEDY)
+    refuse_other_shapes(document, Place(str(path)))
     refuse_stale(Path(path).with_name(MACHINE), document.files)
     if document.verdict is not None and not document.findings:
         return replace(document, findings=document.verdict.findings)
@@ -243,7 +243,7 @@ class _Matrix:
         )
 
 
-def refuse_other_shapes(document: ResultDocument, place: Place, remedy: str) -> None:
+def refuse_other_shapes(document: ResultDocument, place: Place) -> None:
     """Raise InputError for the first matrix whose rows do not fit its names."""
     for matrix in _matrices(document):
         if not matrix.fits:
@@ -251,7 +251,7 @@ def refuse_other_shapes(document: ResultDocument, place: Place, remedy: str) -> 
                 f"a matrix of {len(matrix.rows)} rows does not fit its names",
                 code="wrong-shape",
                 place=str(place.at(*matrix.path)),
-                remedy=remedy,
+                remedy=_REMEDY,
             )
 
 

@@ -24,7 +24,7 @@ def read_result_poses(folder: Path, mechanism: Mechanism) -> Dataset | None:
     if not path.exists():
         return None
     refuse_stale(path)
-    stated = {**mechanism.quantities, **mechanism.pose_constants}
+    stated = mechanism.units
     columns = {name: Column(f"{name} [{unit}]") for name, unit in stated.items()}
     made = read_dataset(path, columns, pose="pose")
     # what is implied has a column, and blank cells where no instrument read it
@@ -44,11 +44,16 @@ def poses_of_result(path: str | Path, mechanism: Mechanism) -> Dataset | None:
     folder = path if path.is_dir() else path.parent
     poses = read_result_poses(folder, mechanism)
     if poses is None:
-        raise InputError(
-            "the result has no residuals.csv, which holds its readings",
-            code="missing-file",
-            place=str(folder),
-            remedy="give the file of readings",
-        )
+        raise without_poses(str(folder))
     measured = read_result(folder / "result.json").measured
     return replace(poses, source=replace(poses.source, days=measured))
+
+
+def without_poses(place: str) -> InputError:
+    """The error for a result without its readings."""
+    return InputError(
+        "the result has no residuals.csv, which holds its readings",
+        code="missing-file",
+        place=place,
+        remedy="give the file of readings",
+    )

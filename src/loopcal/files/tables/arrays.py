@@ -23,7 +23,6 @@ from loopcal.files.tables.unfolded import refuse_large_workbook
 def by_columns(
     arrays: Mapping[str, Any],
     file: str,
-    part: str | None,
     sha256: str,
     count: int,
     named: Sequence[str] = (),
@@ -32,7 +31,7 @@ def by_columns(
     columns = columns_of(arrays, count, named)
     cells = {i: np.asarray(v, dtype=np.float64) for i, v in enumerate(columns.values())}
     names = tuple(columns) if any(arrays) else ()
-    return Table(file, part, sha256, names, cells, np.arange(1, count + 1, dtype=np.int64))
+    return Table(file, None, sha256, names, cells, np.arange(1, count + 1, dtype=np.int64))
 
 
 def rows_of(arrays: Mapping[str, Any]) -> int:
@@ -115,7 +114,7 @@ def read_arrays(path: str | Path, layout: Layout = RECOGNISED, *, wanted: object
     only = np.atleast_1d(next(iter(numbers.values())))
     count = rows_of(numbers) if len(numbers) > 1 else len(only)
     refuse_rivals(numbers, count, path.name, "save only arrays with equally many rows in one file")
-    return by_columns(numbers, path.name, None, sha256_of(path), count)
+    return by_columns(numbers, path.name, sha256_of(path), count)
 
 
 READER = Reader(

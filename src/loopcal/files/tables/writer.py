@@ -16,6 +16,7 @@ from loopcal.measurements.poses import cell_text
 
 Column = Sequence[str] | NDArray[np.float64]
 SEPARATORS = {".csv": ",", ".tsv": "\t", ".txt": "\t"}
+PARQUET = (".parquet", ".pq")
 LARGE = 20_000
 """Rows from which on loading polars pays."""
 COMPRESSION: Final = "snappy"
@@ -29,14 +30,9 @@ def table_bytes(columns: Mapping[str, Column], ending: str = ".csv") -> bytes:
     columns: name -> N texts, or N numbers. Raises InputError for an ending that is not written.
     """
     ending = ending.lower()
-    if ending in (".parquet", ".pq"):
+    _refuse_ending(ending)
+    if ending in PARQUET:
         return _by_polars(columns, None)
-    if ending not in SEPARATORS:
-        raise InputError(
-            f"a table cannot be written as {ending or 'a file without an ending'}",
-            code="wrong-file-type",
-            remedy="name a file that ends in .csv, .tsv or .parquet",
-        )
     rows = len(next(iter(columns.values())))
     if rows >= LARGE:
         return _by_polars(columns, SEPARATORS[ending])
@@ -50,12 +46,15 @@ def table_bytes(columns: Mapping[str, Column], ending: str = ".csv") -> bytes:
 
 def check_ending(path: str | Path) -> None:
     """Raise InputError, before any work is done, for a table that could not be written."""
-    ending = Path(path).suffix.lower()
-    if ending not in (*SEPARATORS, ".parquet", ".pq"):
+    _refuse_ending(Path(path).suffix.lower(), str(path))
+
+
+def _refuse_ending(ending: str, place: str | None = None) -> None:
+    if ending not in (*SEPARATORS, *PARQUET):
         raise InputError(
             f"a table cannot be written as {ending or 'a file without an ending'}",
             code="wrong-file-type",
-            place=str(path),
+            place=place,
             remedy="name a file that ends in .csv, .tsv or .parquet",
         )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -135,7 +136,7 @@ def _bad(view: View, project: Project) -> None:
 
 def _columns(view: View, project: Project) -> None:
     stated: dict[str, Any] = dict(project.inputs.get("data", {}).get("columns", {}))
-    units = {**project.mechanism.quantities, **project.mechanism.pose_constants}
+    units = project.mechanism.units
     if not stated.keys() & units.keys():
         return  # every reading comes from files joined to the first one
     labels = columns(project)
@@ -183,7 +184,7 @@ def _pose(project: Project, data: Dataset, index: int) -> dict[str, float]:
 
 def _rows(view: View, project: Project, loaded: LoadedData, drawn_robot: Any, scene: Scene) -> None:
     data, mechanism = loaded.dataset, project.mechanism
-    units = {**mechanism.quantities, **mechanism.pose_constants}
+    units = mechanism.units
     images = [one for one in seen_outputs(mechanism) if one.image]
     corners = {q for one in images for q in one.position}
     names = [name for name in data.readings if name in units and name not in corners]
@@ -234,7 +235,7 @@ def _head(name: str, unit: str) -> str:
     return name if unit == "1" else f"{name} [{unit_shown(unit)}]"
 
 
-def _row(data: Dataset, i: int, names: list[str], units: dict[str, str]) -> dict[str, Any]:
+def _row(data: Dataset, i: int, names: list[str], units: Mapping[str, str]) -> dict[str, Any]:
     values = {n: float(data[n][i]) for n in names}
     shown = {n: "" if np.isnan(v) else f"{in_unit(v, units[n]):z.3f}" for n, v in values.items()}
     return {"index": i, "pose": data.poses[i], **shown}

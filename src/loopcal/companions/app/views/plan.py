@@ -157,7 +157,7 @@ def _planned(view: View, project: Project) -> None:
                 download(f"{made}/{name}", words.DOWNLOAD.format(name=name))
     _measured(view, project, document)
     _drawn(view, project, [pose["readings"] for pose in poses])
-    units = {**project.mechanism.quantities, **project.mechanism.pose_constants}
+    units = project.mechanism.units
     names = [name for name in poses[0]["readings"] if name in units] if poses else []
     head = ["no.", "pose", "use", *(f"{n} [{unit_shown(units[n])}]" for n in names)]
     rows = [

@@ -41,6 +41,7 @@ _CIRCLE = re.compile(r"^[ \t]*\d+:[ \t]*[CA][ \t]+([^;/]*)", re.MULTILINE)
 _ENDED = re.compile(r"[ \t]*;[ \t]*(?=[\r\n]|\Z)")
 _SHIFTED = re.compile(r"\b(?:Tool_)?Offset\b|\bINC\b|\bVOFFSET\b", re.IGNORECASE)
 _LINE_NUMBER = re.compile(r"^[ \t]*(\d+)(?=:)", re.MULTILINE)
+_POSITIONS = re.compile(r"^/POS\b", re.MULTILINE)
 _LINE_COUNT = re.compile(r"^LINE_COUNT\s*=\s*(\d+)", re.MULTILINE)
 # Possessive: a long run of waits cannot make the match back out (docs/decisions/0137).
 _HARMLESS = re.compile(
@@ -141,7 +142,9 @@ def _inserted(program: Program, ahead: Rows) -> list[Place]:
     free = max(int(n) for n in re.findall(r"\bP\[\s*(\d+)", text)) + 1
     places, positions, shift = list[Place](), list[str](), 0
     wanted = {move.lines.start: i for i in ahead if (move := program.moves[i]) is not None}
-    for match in _LINE_NUMBER.finditer(text, 0, _part(text, "/POS")):
+    of_positions = _POSITIONS.search(text)
+    last_line = of_positions.start() if of_positions else len(text)
+    for match in _LINE_NUMBER.finditer(text, 0, last_line):
         number, width = int(match[1]), match.end(1) - match.start()
         index = wanted.get(match.start())
         for count, row in enumerate(ahead[index] if index is not None else (), 1):
@@ -160,12 +163,6 @@ def _inserted(program: Program, ahead: Rows) -> list[Place]:
     closed = re.compile(r"[ \t]*;").match(text, last)
     last = closed.end() if closed else last
     return [*places, Place(Span(last, last), "".join(end + one for one in positions))]
-
-
-def _part(text: str, name: str) -> int:
-    """Where a part of the listing begins."""
-    match = re.search(rf"^{name}\b", text, re.MULTILINE)
-    return match.start() if match else len(text)
 
 
 def _driving(stops: Stops) -> list[str]:
