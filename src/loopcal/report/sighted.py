@@ -50,6 +50,10 @@ def _sighted(
         measured = np.array([readings[q] for q in read])
         computed = measured + np.array([differences[q] for q in read])
         at, to = points(family, measured), points(family, computed)
+        if len(at) == 2 and mechanism.body is not None and not mechanism.body.planar:
+            # x and y alone, in space: drawn on the level from which the machine's height counts
+            level = 0.0 * at[:1]
+            at, to = np.vstack([at, level]), np.vstack([to, level])
         return _placed(mechanism, family, readings, at, to) if len(read) > 1 else None
     return _of_target(mechanism, family, readings, differences)
 
