@@ -126,8 +126,9 @@ def joined(every: Sequence[Sighting]) -> Sighting | None:
     first, *others = every or (None,)
     if first is None:
         return None
-    at, along = first.at, first.along
-    for one in others:
+    d = min(len(one.at) for one in every)  # what reads x and y alone is drawn in their plane
+    at, along = first.at[:d], first.along[:d]
+    for one in (Sighting(o.instrument, o.at[:d], o.along[:d]) for o in others):
         lacking = ~np.isfinite(at + along).all(axis=0)
         better = np.isfinite(one.at + one.along).all(axis=0) | ~np.isfinite(at).all(axis=0)
         at, along = (

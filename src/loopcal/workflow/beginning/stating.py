@@ -128,7 +128,8 @@ def stated(
         looking.append(instrument.entry())
         fits[instrument.name] = meaning.fit or place.mounted
         if not still:
-            parameters |= instrument.parameters(place.mounted, place.at)
+            at = place.at[: machine.dimension]
+            parameters |= instrument.parameters(place.mounted, at)
         columns = instrument.readings()
         seen.append((meaning, tuple(columns)))
         label = f" ({meaning.seen.station})" if meaning.seen.station else ""
@@ -350,7 +351,7 @@ class _Instrument:
             return {"value": round(1e3 * float(value), 1) + 0.0, "unit": "mm"}
 
         near = {"sd": 1e3 * NEAR}
-        made = {f"{self.target}_{a}": length(v) | near for a, v in zip("xyz", target, strict=True)}
+        made = {f"{self.target}_{a}": length(v) | near for a, v in zip("xyz", target, strict=False)}
         if mounted.turn is not None:
             from scipy.spatial.transform import Rotation
 
@@ -359,7 +360,7 @@ class _Instrument:
                 entry = {"value": round(float(value), 2) + 0.0, "unit": "deg"}
                 entry["sd"] = float(significant(from_si(TURNED, "deg"), 2))
                 made[f"{self.target}_{motion}"] = entry
-        if mounted.stands is not None:
+        if mounted.stands is not None and len(target) == 3:
             # Alignment in its plane finds the rest.
             _, *tilts = yaw_pitch_roll(mounted.stands)
             if np.abs(tilts).max() > _LEVEL:
