@@ -45,9 +45,9 @@ class Seen:
     """The columns of one instrument.
 
     kind: "point", "planar" (x and y of a point), "pose", "length" or "spherical"; position: its
-    coordinates, its length, or range, azimuth and elevation; turned: the numbers of an orientation, whose form is
-    "quaternion", "turns" or "matrix" (nine, row by row); sds: those of the position, if there;
-    station: where it stood, as the column of stations says.
+    coordinates, its length, or range, azimuth and elevation; turned: the numbers of an
+    orientation, whose form is "quaternion", "turns" or "matrix" (nine, row by row); sds: those of
+    the position, if there; station: where it stood, as the column of stations says.
     """
 
     kind: str
@@ -212,8 +212,8 @@ def _with_joints(
         raise InputError(
             f"{unnamed(coordinates)} alone places no point",
             code="missing-column",
-            remedy="measure x, y and z, or x and y. Heights above a plate are the gap of an instrument of type "
-            '"plane", in a mechanism file: docs/reference/mechanism-file.md',
+            remedy="measure x, y and z, or x and y. Heights above a plate are the gap of an "
+            'instrument of type "plane", in a mechanism file: docs/reference/mechanism-file.md',
         )
     raise InputError(
         f"no column of an instrument is recognised among {unnamed(rest)}"
@@ -419,9 +419,7 @@ def _orientation(
     return (), "", ()
 
 
-def _named_alike(
-    fields: Sequence[Field], axes: str
-) -> Iterator[tuple[str, tuple[Field, ...]]]:
+def _named_alike(fields: Sequence[Field], axes: str) -> Iterator[tuple[str, tuple[Field, ...]]]:
     """Columns whose names differ in one letter alone, x, y or z; with the rest of the name."""
     by_stem = {f.stem: f for f in fields if f.stem}
     met: set[str] = set()

@@ -63,8 +63,8 @@ class Meaning:
 
     length, angle: units of its columns; form: of the orientation, as an instrument states it;
     order: which columns are its numbers; inverted: the station is seen from the target; position:
-    (N, 3), (N, 2) of what reads x and y, or (N,) [m]; turns: (N, 3, 3) of a pose; fit: on the nominal machine; words: what was
-    not stated.
+    (N, 3), (N, 2) of what reads x and y, or (N,) [m]; turns: (N, 3, 3) of a pose; fit: on the
+    nominal machine; words: what was not stated.
     """
 
     seen: Seen
