@@ -112,8 +112,9 @@ class Mounted:
     """What was found.
 
     place: computes `targets`; turn: X of a pose, (3, 3); stands: S of what reads x and y alone;
-    anchor: A, (3,) [m]; zero: c [m]; away: (N,) distances [m] (of several targets the root of the sum of squares); turned: (N,)
-    angles [rad] of a pose; spread: median distance [m] of the readings from their middle.
+    anchor: A, (3,) [m]; zero: c [m]; away: (N,) distances [m] (of several targets the root of the
+    sum of squares); turned: (N,) angles [rad] of a pose; spread: median distance [m] of the
+    readings from their middle.
     """
 
     away: Array
