@@ -412,7 +412,7 @@ def _moved(way: Understood) -> Explanation | None:
         f"rename the column {places.label!r} to 'station': the rows of each of its values fit"
         if (places := _places(way, meaning))
         else "add a column 'station' that names the place of the instrument in each row, such as 1 "
-        "and 2",
+        "and 2; write the rows of each robot to a file of their own where they are of several",
     )
 
 

@@ -258,6 +258,8 @@ def _commanded(
     the machine does not."""
     if fit is None or exact is None:
         return False
+    if other.seen.station:  # the same columns in other rows: measured as these are
+        return False
     drawn, drawn_other = (_rms(m.fitted(way.bodies).fit) for m in (meaning, other))
     if drawn < CLEARLY * fit.rms:
         return False  # this instrument shows no deviation from the drawing
