@@ -157,6 +157,6 @@ def test_a_parallel_machine(tmp_path: Path, kind: str, columns: tuple[str, ...])
     assert "tool_x" not in made.text or kind == "stewart-gough"
 
 
-def test_a_parallel_machine_in_a_plane_has_the_command_that_begins_it() -> None:
+def test_an_own_loop_in_a_plane_has_the_command_that_begins_it() -> None:
     with refused("unsupported", "moves in a plane", "loopcal new"):
-        lc.init({"a": np.arange(9.0)}, machine="five-bar")
+        lc.init({"a": np.arange(9.0)}, machine="planar-two-link")
