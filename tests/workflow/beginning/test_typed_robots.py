@@ -125,7 +125,7 @@ def test_readings_of_one_station_are_not_those_of_a_controller(
     nominal = {p.name: 0.0 if p.name.endswith("6B") else p.nominal for p in drawn.parameters}
     bodies = bodies_of(ChainFrame(drawn.chain, angles(flange), nominal), 80)
     measured = seen(points(flange)[0], 1)
-    measured[40:] = seen(bodies.at(REFLECTORS[0]), 2)[40:] + [1.0, 2.0, 0.0]
+    measured[40:] = (seen(bodies.at(REFLECTORS[0]), 2) + np.array([1.0, 2.0, 0.0]))[40:]
     columns = angles(flange) | dict(zip("xyz", measured.T, strict=True))
     made = lc.init(columns | {"station": np.repeat([1.0, 2.0], 40)}, machine="motoman-ma1400")
     assert len(made.mechanism.families) == 2

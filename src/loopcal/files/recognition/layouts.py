@@ -31,6 +31,7 @@ _UNMEASURED = frozenset(words("columns", "unmeasured"))
 _COORDINATES = frozenset(words("columns", "coordinate"))
 _NO_PLACES = _UNMEASURED.union(words("columns", "temperature"), words("columns", "payload"))
 _CELL = re.compile(r"^(?P<word>[a-z_]*?)_?(?P<row>[0-4])_?(?P<column>[0-4])$")
+_STATED = "as stated"
 FEWEST = 5
 """Rows that place an instrument."""
 # Chosen, not derived: coordinates are written to 1e-6 of a range, and no two instruments agree so.
@@ -144,7 +145,7 @@ def _single_station(
             place="--joints",
             remedy="state a column for each joint, in the order of the machine",
         )
-    sets = [(joints, "as stated")] if joints else joint_sets(fields, count, names)
+    sets = [(joints, _STATED)] if joints else joint_sets(fields, count, names)
     if sets:
         taken = {id(f) for some, _ in sets for f in some}
         taken |= _read_by(fields, joints)
@@ -158,11 +159,11 @@ def _single_station(
                 made += _with_joints(fields, some, how, taken)
             except InputError as error:
                 refusals.append(error)
-        if not made:
+        if made:
+            return tuple(made)
+        if joints or len(usual_joints(fields)) in (0, count):
             raise refusals[0]
-        return tuple(made)
-    usual = usual_joints(fields)
-    if usual:
+    if usual := usual_joints(fields):
         more = "E1 or another axis" if len(usual) > count else "a joint"
         raise InputError(
             f"the columns {unnamed(usual)} look like {len(usual)} joints, but the machine has "
@@ -206,7 +207,9 @@ def _with_joints(
         in_order = tuple(_layout(joints, (one,), fields, how) for one in _read_in_order(some))
         if in_order:
             return in_order
-    if seen := numbered(free) or _planar(free):
+    # A z that is stated as a joint, as of a SCARA, is none of a point.
+    other = [f for f in fields if f not in joints] if how == _STATED else fields
+    if seen := numbered(free) or _planar(free, other):
         return (_layout(joints, seen, fields, how),)
     if coordinates := [f for f in free if f.span > 0.0 and _is_coordinate(f)]:
         raise InputError(
@@ -333,13 +336,16 @@ def numbered(fields: Sequence[Field]) -> tuple[Seen, ...]:
     )
 
 
-def _planar(fields: Sequence[Field]) -> tuple[Seen, ...]:
-    """What reads x and y alone: a grid encoder, a camera above a table."""
+def _planar(free: Sequence[Field], fields: Sequence[Field]) -> tuple[Seen, ...]:
+    """What reads x and y alone, without a z: a grid encoder, a camera above a table."""
     by_stem = {f.stem: f for f in fields}
+    whole = [id(f) for _, triple in _named_alike(fields, "xyz") for f in triple]
     pairs = [
         Seen("planar", pair, sds=_sds(pair, fields))
-        for word, pair in _named_alike(fields, "xy")
-        if not _of_something_else(word, pair, by_stem) and len(moving(pair)) == len(pair)
+        for word, pair in _named_alike(free, "xy")
+        if id(pair[0]) not in whole
+        and not _of_something_else(word, pair, by_stem)
+        and len(moving(pair)) == len(pair)
     ]
     return tuple(pairs)
 
