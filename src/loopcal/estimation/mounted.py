@@ -406,9 +406,9 @@ def see_planar(bodies: Bodies, measured: Array, rounds: int = _ROUNDS) -> Mounte
         def place(some: Bodies = some, seen: Array = seen, S: Array = S) -> Array:
             return _planar(some, seen, S, np.zeros(3), COMMON)[2][None]
 
-        found = Mounted(np.where(read, away, np.nan), spread, place, stands=S)
-        if best is None or found.share < _CLEARER * best.share:
-            best = found
+        fit = Mounted(np.where(read, away, np.nan), spread, place, stands=S)
+        if best is None or fit.share < _CLEARER * best.share:
+            best = fit
     assert best is not None
     return best
 
