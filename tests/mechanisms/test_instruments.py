@@ -135,6 +135,21 @@ def test_a_pose_is_off_by_small_turns_about_the_axes_measured(form: str, write: 
             assert w == pytest.approx(angle * off, abs=1e-13)
 
 
+def test_x_and_y_alone_in_space() -> None:
+    flat = {name: v for name, v in standing("base").items() if name != "base_z"}
+    mechanism = made([point("grid", readings=("u", "v"))], flat)
+    assert "base_z" not in mechanism.parameters.names
+    for q1, q2 in CASES:
+        x, y = (station() @ [*tool(q1, q2), 1.0])[:2]
+        assert values(mechanism, {"q1": q1, "q2": q2, "u": x, "v": y}) == pytest.approx(
+            {"u": 0.0, "v": 0.0}, abs=1e-14
+        )
+    with refused("wrong-shape", "1 coordinates"):
+        point("grid", readings=("u",))
+    with refused("wrong-shape", "2 coordinates"):
+        pose("grid", readings=("u", "v"))
+
+
 def test_no_turn_at_all_is_a_rotation_vector_too() -> None:
     mechanism = made([pose("P", orientation="rotation-vector", station=None, target=Target(()))])
     read = dict.fromkeys(("q1", "q2", "rvx", "rvy", "rvz"), 0.0)

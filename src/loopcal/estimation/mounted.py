@@ -6,7 +6,7 @@ not bend it (least trimmed squares, Rousseeuw 1984). S and t place the machine i
 frame, u and X place the target on the body, A is a point fixed beside the machine:
 
     point   S (o + R u) + t = m                pose   the same, and S R X = M
-    length  |o + R u - A| + c = l
+    length  |o + R u - A| + c = l          planar  the first two of S (o + R u) + t = m
 
 What the machine misses is common to its poses and does not average out. Where they hardly turn the
 body, u takes up such errors and runs metres away. Hence the mean square of what is left, `COMMON`
@@ -50,6 +50,20 @@ _MOST = 5_000
 # Chosen, not derived: each alternation costs one alignment, and few poses determine no target.
 _TURNS, _FEWEST = 100, 8
 """Alternations that tell two targets apart, and the poses that each must have."""
+_FACES = tuple(
+    np.array(rows, dtype=np.float64)
+    for rows in (
+        ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+        ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
+        ((0, 1, 0), (0, 0, 1), (1, 0, 0)),
+        ((0, -1, 0), (0, 0, 1), (-1, 0, 0)),
+        ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
+        ((-1, 0, 0), (0, 0, 1), (0, 1, 0)),
+    )
+)
+"""S of stations that look at a plane of the base: down and up, then along x and y, both ways."""
+_CLEARER = 0.5
+"""A way to face that leaves at least so little of the misfit takes the place of one before it."""
 _WEAK = 1e-6
 """A direction of the placement that the poses determine so much less than others stays as it is."""
 
@@ -97,15 +111,17 @@ class Bodies:
 class Mounted:
     """What was found.
 
-    place: computes `targets`; turn: X of a pose, (3, 3); anchor: A, (3,) [m]; zero: c [m];
-    away: (N,) distances [m] (of several targets the root of the sum of squares); turned: (N,)
-    angles [rad] of a pose; spread: median distance [m] of the readings from their middle.
+    place: computes `targets`; turn: X of a pose, (3, 3); stands: S of what reads x and y alone;
+    anchor: A, (3,) [m]; zero: c [m]; away: (N,) distances [m] (of several targets the root of the
+    sum of squares); turned: (N,) angles [rad] of a pose; spread: median distance [m] of the
+    readings from their middle.
     """
 
     away: Array
     spread: float
     place: Callable[[], Array]
     turn: Array | None = None
+    stands: Array | None = None
     anchor: Array | None = None
     zero: float = 0.0
     turned: Array | None = None
@@ -366,6 +382,60 @@ def _rotation(matrix: Array) -> Array:
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt)) or 1.0])
     nearest: Array = (U * signs) @ Vt
     return nearest
+
+
+def see_planar(bodies: Bodies, measured: Array, rounds: int = _ROUNDS) -> Mounted:
+    """A target on the body, of which a station reads x and y (N, 2) [m] alone.
+
+    Begins from each way in which a plane of the base may face the station, from above first. What
+    turns the station out of that plane stays where the poses do not show it.
+    """
+    read = np.isfinite(measured).all(axis=1) & bodies.complete
+    spread = max(_spread(measured), 1e-12)
+    _better(np.where(read, 0.0, np.nan))
+    decides = np.isin(np.arange(len(read)), _deciding(read))
+    best: Mounted | None = None
+    for faces in _FACES:
+        good, S, u = decides, faces, np.zeros(3)
+        for _ in range(rounds):
+            S, t, u = _planar(bodies.take(good), measured[good], S, u)
+            away = np.linalg.norm(bodies.at(u) @ S[:2].T + t - measured, axis=1)
+            good = decides & _better(np.where(read, away, np.nan))
+        some, seen = bodies.take(good), measured[good]
+
+        def place(some: Bodies = some, seen: Array = seen, S: Array = S) -> Array:
+            return _planar(some, seen, S, np.zeros(3), COMMON)[2][None]
+
+        fit = Mounted(np.where(read, away, np.nan), spread, place, stands=S)
+        if best is None or fit.share < _CLEARER * best.share:
+            best = fit
+    assert best is not None
+    return best
+
+
+def _planar(
+    bodies: Bodies, measured: Array, S: Array, u: Array, common: float = 0.0
+) -> tuple[Array, Array, Array]:
+    """S (3, 3), t (2,) and u (3,) from these: first turned in the plane, then as `_points`."""
+    n, t = len(measured), np.zeros(2)
+    for number in range(_STEPS):
+        placed = bodies.at(u) @ S.T
+        if number == 0:
+            motion = align(placed[:, :2].T, measured.T)
+            about = np.eye(3)
+            about[:2, :2] = motion.rotation
+            S, placed, t = about @ S, placed @ about.T, motion.shift
+        left = measured - placed[:, :2] - t
+        # A small turn w moves v by w x v = -[v] w.
+        J = np.concatenate(
+            [-_cross(placed), np.tile(np.eye(3), (n, 1, 1)), S @ bodies.rotations], axis=2
+        )
+        J = np.delete(J[:, :2], 5, axis=2)
+        step = _held(J.reshape(2 * n, 8), left.reshape(-1), u, 2 * n, common)
+        S, t, u = _rotation(S + _cross(step[:3]) @ S), t + step[3:5], u + step[5:]
+        if np.abs(step).max() < 1e-7:
+            break
+    return S, t, u
 
 
 def see_lengths(bodies: Bodies, measured: Array) -> Mounted:

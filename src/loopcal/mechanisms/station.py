@@ -43,18 +43,21 @@ class Station:
     """The place of an instrument: parameters NAME_x, NAME_y, NAME_z, NAME_rz, NAME_ry, NAME_rx.
 
     name None: the readings are in the machine's own base frame, and there are no parameters.
-    dimension: 3, or 2 in a plane (NAME_x, NAME_y, NAME_rz).
+    dimension: 3, or 2 in a plane (NAME_x, NAME_y, NAME_rz); flat: x and y alone are read in space,
+    so nothing depends on NAME_z, which is left out.
     """
 
     name: str | None
     dimension: int = 3
+    flat: bool = False
 
     @property
     def steps(self) -> tuple[Step, ...]:
         """T_station_base as elementary steps."""
         if self.name is None:
             return ()
-        return tuple(Step(m, f"{self.name}_{_key(m)}") for m in MOTIONS[self.dimension])
+        motions = [m for m in MOTIONS[self.dimension] if not (self.flat and m == "tz")]
+        return tuple(Step(m, f"{self.name}_{_key(m)}") for m in motions)
 
     @property
     def declared(self) -> dict[str, Parameter]:
@@ -71,14 +74,16 @@ class Station:
         return apply(self.steps, p_base, _NO_JOINTS, parameters)
 
     def moved(self, values: Mapping[str, float], rotation: Array, shift: Array) -> dict[str, float]:
-        """The parameters of the base seen moved by p -> rotation @ p + shift."""
+        """The parameters of the base seen moved by p -> rotation @ p + shift, in space or, of what
+        reads x and y, in their plane."""
         d = len(shift)
         # A motion of the plane is one of space that leaves z alone.
         R, t = np.eye(3), np.zeros(3)
         R[:d, :d], t[:d] = rotation, shift
         placed = rigid(R, t) @ product(self.steps, _NO_JOINTS, values)
         turns = yaw_pitch_roll(placed[:3, :3])
-        new = (*placed[: self.dimension, 3], *turns[: 1 if self.dimension == 2 else 3])
+        shifts = placed[: 2 if self.flat else self.dimension, 3]
+        new = (*shifts, *turns[: 1 if self.dimension == 2 else 3])
         return dict(values) | dict(zip(self.parameters, map(float, new), strict=True))
 
     def advice(self, values: Mapping[str, float]) -> tuple[str, ...]:

@@ -50,6 +50,10 @@ def _sighted(
         measured = np.array([readings[q] for q in read])
         computed = measured + np.array([differences[q] for q in read])
         at, to = points(family, measured), points(family, computed)
+        if len(at) == 2 and mechanism.body is not None and not mechanism.body.planar:
+            # x and y alone, in space: drawn on the level from which the machine's height counts
+            level = 0.0 * at[:1]
+            at, to = np.vstack([at, level]), np.vstack([to, level])
         return _placed(mechanism, family, readings, at, to) if len(read) > 1 else None
     return _of_target(mechanism, family, readings, differences)
 
@@ -122,8 +126,9 @@ def joined(every: Sequence[Sighting]) -> Sighting | None:
     first, *others = every or (None,)
     if first is None:
         return None
-    at, along = first.at, first.along
-    for one in others:
+    d = min(len(one.at) for one in every)  # what reads x and y alone is drawn in their plane
+    at, along = first.at[:d], first.along[:d]
+    for one in (Sighting(o.instrument, o.at[:d], o.along[:d]) for o in others):
         lacking = ~np.isfinite(at + along).all(axis=0)
         better = np.isfinite(one.at + one.along).all(axis=0) | ~np.isfinite(at).all(axis=0)
         at, along = (

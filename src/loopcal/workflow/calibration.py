@@ -276,7 +276,10 @@ class _Run:
 
             result = choose(case, scheme, **self._shared("fits"), iterated=progress).result
         else:
-            result = case.calibrated(progress=progress)
+            from loopcal.statistics.by_pose import ByPose
+
+            by_pose = ByPose.of(case, scheme, progress)
+            case, scheme, result = by_pose.case, by_pose.scheme, by_pose.result
         if self.listeners.fitted is not None:
             self.listeners.fitted(result)
         if self.fit.method.choice or scheme is None:

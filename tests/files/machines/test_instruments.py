@@ -130,9 +130,9 @@ def test_an_arm_without_instruments_has_no_loop_and_says_so() -> None:
     [
         (ARM + '[[instrument]]\ntype = "pointt"\n', "unknown-name", ("pointt",)),
         (
-            ARM + '[[instrument]]\ntype = "point"\nreadings = ["x", "y"]\n',
+            ARM + '[[instrument]]\ntype = "point"\nreadings = ["x"]\n',
             "wrong-shape",
-            ("2", "'point'"),
+            ("1", "'point'"),
         ),
         (
             ARM + '[[instrument]]\ntype = "point"\nreadings = ["x", "y", "q1"]\n',

@@ -117,6 +117,20 @@ def test_a_file_of_the_type_states_what_the_drawing_does_not(
     assert left(tmp_path / "o") < 2.0 * NOISE
 
 
+def test_readings_of_one_station_are_not_those_of_a_controller(
+    flange: dict[str, np.ndarray],
+) -> None:
+    """Rows from a second place that follow the drawing are of another robot, not commanded."""
+    drawn = motoman_ma1400()
+    nominal = {p.name: 0.0 if p.name.endswith("6B") else p.nominal for p in drawn.parameters}
+    bodies = bodies_of(ChainFrame(drawn.chain, angles(flange), nominal), 80)
+    measured = seen(points(flange)[0], 1)
+    measured[40:] = (seen(bodies.at(REFLECTORS[0]), 2) + np.array([1.0, 2.0, 0.0]))[40:]
+    columns = angles(flange) | dict(zip("xyz", measured.T, strict=True))
+    made = lc.init(columns | {"station": np.repeat([1.0, 2.0], 40)}, machine="motoman-ma1400")
+    assert len(made.mechanism.families) == 2
+
+
 @pytest.mark.parametrize(
     ("kind", "columns"),
     [
@@ -143,6 +157,6 @@ def test_a_parallel_machine(tmp_path: Path, kind: str, columns: tuple[str, ...])
     assert "tool_x" not in made.text or kind == "stewart-gough"
 
 
-def test_a_parallel_machine_in_a_plane_has_the_command_that_begins_it() -> None:
+def test_an_own_loop_in_a_plane_has_the_command_that_begins_it() -> None:
     with refused("unsupported", "moves in a plane", "loopcal new"):
-        lc.init({"a": np.arange(9.0)}, machine="five-bar")
+        lc.init({"a": np.arange(9.0)}, machine="planar-two-link")

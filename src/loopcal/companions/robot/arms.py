@@ -144,9 +144,9 @@ def _machine(
     at: Mapping[str, float],
 ) -> tuple[ArmPose, ArmPose]:
     """The machine, and the same without its structured model error."""
-    station = next(
-        (f.placement for f in calibrated.families if isinstance(f.placement, Station)), None
-    )
+    # What reads x and y alone says nothing of heights: the tool is looked at from the base.
+    stands = (f.placement for f in calibrated.families if isinstance(f.placement, Station))
+    station = next((one for one in stands if not one.flat), None)
     values = calibrated.parameters.nominal
     points = {_TOOL: tool.point, **_BODY}
     looked_at = with_points(calibrated, points, station.name if station else None)

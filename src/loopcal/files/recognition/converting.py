@@ -235,7 +235,7 @@ def _meaning(fields: Fields, one: SourceInstrument, stations: Field | None) -> M
     elif turned:
         kind = "pose"
     else:
-        kind = "spherical" if one.angle else "point"
+        kind = "spherical" if one.angle else "point" if len(position) == 3 else "planar"
     spherical = kind == "spherical"
     placed, length = zip(
         *(_in_unit(f, one.angle if spherical and i else one.unit) for i, f in enumerate(position)),

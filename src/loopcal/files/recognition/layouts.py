@@ -31,6 +31,7 @@ _UNMEASURED = frozenset(words("columns", "unmeasured"))
 _COORDINATES = frozenset(words("columns", "coordinate"))
 _NO_PLACES = _UNMEASURED.union(words("columns", "temperature"), words("columns", "payload"))
 _CELL = re.compile(r"^(?P<word>[a-z_]*?)_?(?P<row>[0-4])_?(?P<column>[0-4])$")
+_STATED = "as stated"
 FEWEST = 5
 """Rows that place an instrument."""
 # Chosen, not derived: coordinates are written to 1e-6 of a range, and no two instruments agree so.
@@ -44,10 +45,10 @@ _ANGLES = 6
 class Seen:
     """The columns of one instrument.
 
-    kind: "point", "pose", "length" or "spherical"; position: its coordinates, its length, or
-    range, azimuth and elevation; turned: the numbers of an orientation, whose form is
-    "quaternion", "turns" or "matrix" (nine, row by row); sds: those of the position, if there;
-    station: where it stood, as the column of stations says.
+    kind: "point", "planar" (x and y of a point), "pose", "length" or "spherical"; position: its
+    coordinates, its length, or range, azimuth and elevation; turned: the numbers of an
+    orientation, whose form is "quaternion", "turns" or "matrix" (nine, row by row); sds: those of
+    the position, if there; station: where it stood, as the column of stations says.
     """
 
     kind: str
@@ -144,7 +145,7 @@ def _single_station(
             place="--joints",
             remedy="state a column for each joint, in the order of the machine",
         )
-    sets = [(joints, "as stated")] if joints else joint_sets(fields, count, names)
+    sets = [(joints, _STATED)] if joints else joint_sets(fields, count, names)
     if sets:
         taken = {id(f) for some, _ in sets for f in some}
         taken |= _read_by(fields, joints)
@@ -158,11 +159,11 @@ def _single_station(
                 made += _with_joints(fields, some, how, taken)
             except InputError as error:
                 refusals.append(error)
-        if not made:
+        if made:
+            return tuple(made)
+        if joints or len(usual_joints(fields)) in (0, count):
             raise refusals[0]
-        return tuple(made)
-    usual = usual_joints(fields)
-    if usual:
+    if usual := usual_joints(fields):
         more = "E1 or another axis" if len(usual) > count else "a joint"
         raise InputError(
             f"the columns {unnamed(usual)} look like {len(usual)} joints, but the machine has "
@@ -206,14 +207,16 @@ def _with_joints(
         in_order = tuple(_layout(joints, (one,), fields, how) for one in _read_in_order(some))
         if in_order:
             return in_order
-    if seen := numbered(free):
+    # A z that is stated as a joint, as of a SCARA, is none of a point.
+    other = [f for f in fields if f not in joints] if how == _STATED else fields
+    if seen := numbered(free) or _planar(free, other):
         return (_layout(joints, seen, fields, how),)
     if coordinates := [f for f in free if f.span > 0.0 and _is_coordinate(f)]:
         raise InputError(
             f"{unnamed(coordinates)} alone places no point",
             code="missing-column",
-            remedy="measure x, y and z. Heights above a plate are the gap of an instrument of type "
-            '"plane", in a mechanism file: docs/reference/mechanism-file.md',
+            remedy="measure x, y and z, or x and y. Heights above a plate are the gap of an "
+            'instrument of type "plane", in a mechanism file: docs/reference/mechanism-file.md',
         )
     raise InputError(
         f"no column of an instrument is recognised among {unnamed(rest)}"
@@ -333,6 +336,20 @@ def numbered(fields: Sequence[Field]) -> tuple[Seen, ...]:
     )
 
 
+def _planar(free: Sequence[Field], fields: Sequence[Field]) -> tuple[Seen, ...]:
+    """What reads x and y alone, without a z: a grid encoder, a camera above a table."""
+    by_stem = {f.stem: f for f in fields}
+    whole = [id(f) for _, triple in _named_alike(fields, "xyz") for f in triple]
+    pairs = [
+        Seen("planar", pair, sds=_sds(pair, fields))
+        for word, pair in _named_alike(free, "xy")
+        if id(pair[0]) not in whole
+        and not _of_something_else(word, pair, by_stem)
+        and len(moving(pair)) == len(pair)
+    ]
+    return tuple(pairs)
+
+
 def _of_rows(rows: Sequence[tuple[Field, ...]]) -> Iterator[Seen]:
     """Three rows of a matrix with the position in their fourth column."""
     matrix = tuple(cell for row in rows for cell in row[:3])
@@ -358,7 +375,7 @@ def instruments(fields: Sequence[Field]) -> tuple[Seen, ...]:
     turned, form, position = _orientation(fields, by_stem)
     aside = {id(f) for f in turned}
     rest = [f for f in fields if id(f) not in aside]
-    triples = list(_triples(rest))
+    triples = list(_named_alike(rest, "xyz"))
     points = [t for word, t in triples if not _of_something_else(word, t, by_stem)]
     points = [t for t in points if len(moving(t)) > 1] or points
     seen: list[Seen] = []
@@ -396,7 +413,7 @@ def _orientation(
         return turned, "matrix", position
     for quaternion in quaternions(fields):
         return quaternion, "quaternion", ()
-    triples = dict(_triples(fields))
+    triples = dict(_named_alike(fields, "xyz"))
     for word, turned in triples.items():
         # x, y and z of a file of their own are a point, also as rX, rY and rZ
         beside = any(t[0].table == turned[0].table for t in triples.values() if t is not turned)
@@ -408,13 +425,13 @@ def _orientation(
     return (), "", ()
 
 
-def _triples(fields: Sequence[Field]) -> Iterator[tuple[str, tuple[Field, ...]]]:
+def _named_alike(fields: Sequence[Field], axes: str) -> Iterator[tuple[str, tuple[Field, ...]]]:
     """Columns whose names differ in one letter alone, x, y or z; with the rest of the name."""
     by_stem = {f.stem: f for f in fields if f.stem}
     met: set[str] = set()
     for field in fields:
         for i, letter in enumerate(field.stem):
-            names = [f"{field.stem[:i]}{a}{field.stem[i + 1 :]}" for a in "xyz"]
+            names = [f"{field.stem[:i]}{a}{field.stem[i + 1 :]}" for a in axes]
             if letter == "x" and names[0] not in met and all(n in by_stem for n in names):
                 met.update(names)
                 word = f"{field.stem[:i]}{field.stem[i + 1 :]}".strip("_")

@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.errors import InputError
-from loopcal.estimation.mounted import Bodies, Mounted, see_lengths, see_points, see_poses
+from loopcal.estimation.mounted import (
+    Bodies,
+    Mounted,
+    see_lengths,
+    see_planar,
+    see_points,
+    see_poses,
+)
 from loopcal.files.recognition.fields import Field, names_of
 from loopcal.files.recognition.layouts import Seen
 from loopcal.units import to_si, unit
@@ -56,8 +63,8 @@ class Meaning:
 
     length, angle: units of its columns; form: of the orientation, as an instrument states it;
     order: which columns are its numbers; inverted: the station is seen from the target; position:
-    (N, 3) or (N,) [m]; turns: (N, 3, 3) of a pose; fit: on the nominal machine; words: what was
-    not stated.
+    (N, 3), (N, 2) of what reads x and y, or (N,) [m]; turns: (N, 3, 3) of a pose; fit: on the
+    nominal machine; words: what was not stated.
     """
 
     seen: Seen
@@ -77,6 +84,11 @@ class Meaning:
         return self.fit.share if self.fit else float("inf")
 
     @property
+    def in_space(self) -> bool:
+        """Whether it reads where a point is, in three coordinates."""
+        return self.position.ndim == 2 and self.position.shape[1] == 3
+
+    @property
     def read_in(self) -> tuple[str, str, str]:
         """Length, angle and form, as `positions` takes them."""
         return self.length, self.angle, self.form
@@ -93,6 +105,8 @@ class Meaning:
         try:
             if self.seen.kind == "length":
                 fit = see_lengths(some, position)
+            elif self.seen.kind == "planar":
+                fit = see_planar(some, position, rounds)
             elif self.turns is not None:
                 fit = see_poses(some, position, self.turns[index], rounds)
             else:
@@ -125,7 +139,7 @@ def meanings(seen: Seen, *, as_stated: bool = True) -> Iterator[Meaning]:
 
 
 def positions(seen: Seen, length: str, angle: str, form: str) -> Array:
-    """(N, 3) points, or (N,) lengths [m], of columns in these units."""
+    """Points (N, 3) or (N, 2), or (N,) lengths [m], of columns in these units."""
     if seen.kind == "spherical":
         return _cartesian(_polar(seen, length, angle, form))
     factor = unit(length).factor

@@ -294,8 +294,8 @@ def _si(motion: str, value: float) -> float:
 def typed_robot(named: str) -> Robot:
     """Build the machine of a type that has nominal values, or of a mechanism file.
 
-    Raises InputError for a type without nominal values, for one that moves in a plane, and for a
-    file that names other files.
+    Raises InputError for a type without nominal values, for one without closed loops that moves in
+    a plane, and for a file that names other files.
     """
     from loopcal.files.machines.mechanism_file import mechanism_from_data
     from loopcal.files.machines.registry import machine_type
@@ -327,7 +327,7 @@ def typed_robot(named: str) -> Robot:
 def parallel_machine(mechanism: Mechanism) -> Robot | None:
     """The machine of closed loops that instruments look at, in space; None for any other."""
     described = mechanism.description or {}
-    if mechanism.chain or "platform_z" not in mechanism.home or "instrument" not in described:
+    if mechanism.chain or not mechanism.home or "instrument" not in described:
         return None
     from loopcal.files.machines.mechanism_file import mechanism_from_data
 
@@ -373,11 +373,11 @@ def by_hand(kind: str, why: str, then: str) -> InputError:
 def _closed(table: Mapping[str, Any], mechanism: Mechanism) -> Robot:
     """A parallel machine, of whose quantities the first are driven, as many as it has freedoms.
 
-    Raises InputError for one that moves in a plane.
+    Raises InputError for other machines in a plane.
     """
-    kind, names = table["type"], mechanism.tape.quantities
-    if "platform_z" not in names:
-        raise by_hand(kind, "moves in a plane", "and name your columns in it")
+    names = mechanism.tape.quantities
+    if not mechanism.home:
+        raise by_hand(table["type"], "moves in a plane", "and name your columns in it")
     driven = names[: len(names) - len(mechanism.tape.loops)]
     unread = names[len(driven) :]
     return Robot(table, len(driven), driven, unread=unread)

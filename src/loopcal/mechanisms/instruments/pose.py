@@ -81,6 +81,13 @@ def pose(
     Raises InputError for numbers of names that do not fit.
     """
     position = point(name, readings=readings, station=station, target=target, dimension=dimension)
+    if len(position.readings) != dimension:
+        raise InputError(
+            f"the instrument {name!r} reads an orientation, and {len(position.readings)} "
+            f"coordinates in a space of {dimension}",
+            code="wrong-shape",
+            remedy=f"name {dimension} coordinates",
+        )
     suffixes = ("phi",) if dimension == 2 else ("wx", "wy", "wz")
     angles = tuple(f"{name}_{s}" for s in suffixes) if turns is None else tuple(turns)
     if len(angles) != len(suffixes):

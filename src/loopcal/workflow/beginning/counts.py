@@ -73,7 +73,7 @@ def counted(machine: Machine, layouts: Sequence[Layout]) -> Counted | None:
             continue
         for seen in layout.seen:
             for meaning in meanings(seen):
-                if meaning.position.ndim == 2 and not meaning.inverted:
+                if meaning.in_space and not meaning.inverted:
                     done = _solved(machine, layout, meaning)
                     if done is not None:
                         return done

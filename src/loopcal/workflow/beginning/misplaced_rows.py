@@ -81,7 +81,7 @@ def swapped_targets(way: Understood) -> InputError | None:
 
 def _points_of(way: Understood) -> list[Meaning]:
     """The targets that are seen as points from where the station stands."""
-    return [m for m in way.seen if m.position.ndim == 2 and m.turns is None and not m.inverted]
+    return [m for m in way.seen if m.in_space and m.turns is None and not m.inverted]
 
 
 def mixed_targets(way: Understood) -> InputError | None:
@@ -133,7 +133,7 @@ def reordered(bodies: Bodies, meaning: Meaning) -> Meaning:
     """
     points = meaning.position
     count = len(points)
-    whole = points.ndim == 2 and np.isfinite(points).all() and bodies.complete.all()
+    whole = meaning.in_space and np.isfinite(points).all() and bodies.complete.all()
     if not (whole and _FEWEST <= count <= _MOST):
         return meaning
     from scipy.optimize import linear_sum_assignment

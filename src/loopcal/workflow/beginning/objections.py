@@ -256,7 +256,7 @@ def _mirrored(case: Case, way: Understood) -> Explanation | None:
     points = [
         replace(m, turns=None, seen=_as_point(m))
         for m in way.seen
-        if m.position.ndim == 2 and not m.inverted and as_large(m, way.bodies)
+        if m.in_space and not m.inverted and as_large(m, way.bodies)
     ]
     shares = [_scaled(way, m, _MIRROR) for m in points]
     share = max(shares, default=1.0)
@@ -301,7 +301,7 @@ def _few(count: int) -> NDArray[np.intp]:
 
 
 def _as_point(meaning: Meaning) -> Seen:
-    return replace(meaning.seen, kind="point", turned=())
+    return replace(meaning.seen, kind="point", turned=()) if meaning.seen.turned else meaning.seen
 
 
 def _shuffled(case: Case) -> Iterator[Explanation]:
@@ -412,7 +412,7 @@ def _moved(way: Understood) -> Explanation | None:
         f"rename the column {places.label!r} to 'station': the rows of each of its values fit"
         if (places := _places(way, meaning))
         else "add a column 'station' that names the place of the instrument in each row, such as 1 "
-        "and 2",
+        "and 2; write the rows of each robot to a file of their own where they are of several",
     )
 
 

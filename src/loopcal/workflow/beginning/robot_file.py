@@ -71,7 +71,9 @@ def used(fields: Fields, robot: RobotFile) -> Fields:
     if robot.infer_units:
         kept = [f.without_unit() for f in kept]
     for name in [part.strip() for part in (robot.leave_out or "").split(",") if part.strip()]:
-        gone = [f for f in kept if fnmatchcase(f.label, name)]
+        # Brackets of a unit are no set of letters where the whole name is meant.
+        gone = [f for f in kept if f.label == name]
+        gone = gone or [f for f in kept if fnmatchcase(f.label, name)]
         if not gone:
             raise unknown_name(
                 f"{name!r} is no column", name, [f.label for f in kept], "--leave-out"

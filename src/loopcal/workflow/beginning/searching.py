@@ -97,12 +97,14 @@ class Counting:
 class Machine:
     """The nominal machine as far as its joints move it.
 
-    frame: (x, p) -> T_base_body of a parallel machine; None for a mechanism with a chain.
+    frame: (x, p) -> T_base_body of a parallel machine; None for a mechanism with a chain;
+    dimension: 2 for a machine that moves in a plane.
     """
 
     mechanism: Mechanism
     joints: tuple[str, ...]
     frame: Callable[[Values, Values], Frame] | None = None
+    dimension: int = 3
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -145,8 +147,8 @@ def machine_of(robot: Robot, file: str) -> Machine:
     mechanism = mechanism_from_data(dict(robot.table), file)
     if not robot.unread:
         return Machine(mechanism, tuple(mechanism.joints))
-    frame = machine_type(robot.table["type"]).make().frame
-    return Machine(mechanism, robot.names, frame)
+    made = machine_type(robot.table["type"]).make()
+    return Machine(mechanism, robot.names, made.frame, made.dimension)
 
 
 def every_way(

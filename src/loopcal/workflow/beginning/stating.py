@@ -25,6 +25,7 @@ from loopcal.files.tables.registry import reader_of
 from loopcal.files.toml.reader import SCHEMA
 from loopcal.files.toml.writer import document
 from loopcal.measurements.datasheet import PRESETS, Tracker, rounding_sd
+from loopcal.mechanisms.placement import yaw_pitch_roll
 from loopcal.mechanisms.structure.structured import MOUNTED
 from loopcal.presentation.shown import significant, with_unit
 from loopcal.units import from_si, to_si, unit
@@ -37,6 +38,16 @@ WIRE, CAMERA, TURN = 0.2e-3, 1e-3, 2e-3
 """Guesses of sds: a draw-wire encoder, a camera's position [m], its turns [rad]."""
 _TRACKER = "leica-at500"
 _POINTS = ("point", "spherical")
+_NAMES = {
+    "point": ("point", "point"),
+    "planar": ("point", "point"),
+    "pose": ("pose", "pose"),
+    "length": ("wire", "draw-wire"),
+    "spherical": ("tracker", "spherical"),
+}
+"""What an instrument of a kind is called in a project, and its type there."""
+_LEVEL = 0.1
+"""A fit finds smaller tilts [rad] of what reads x and y alone by itself."""
 _EXPANDED = re.compile(r"u(nc|ncertainty)?(_?(95|exp|k_?2))?|expanded_uncertainty|messunsicherheit")
 _SAME = 5e-3
 """Points of a body that lie so near [m] each other, found from the nominal machine, are one."""
@@ -117,7 +128,8 @@ def stated(
         looking.append(instrument.entry())
         fits[instrument.name] = meaning.fit or place.mounted
         if not still:
-            parameters |= instrument.parameters(place.mounted, place.at)
+            at = place.at[: machine.dimension]
+            parameters |= instrument.parameters(place.mounted, at)
         columns = instrument.readings()
         seen.append((meaning, tuple(columns)))
         label = f" ({meaning.seen.station})" if meaning.seen.station else ""
@@ -300,8 +312,7 @@ class _Instrument:
 
     @property
     def name(self) -> str:
-        usual = {"point": "point", "pose": "pose", "length": "wire", "spherical": "tracker"}
-        return usual[self.kind] + self.end
+        return _NAMES[self.kind][0] + self.end
 
     def names(self) -> tuple[str, ...]:
         """Of its readings."""
@@ -310,7 +321,8 @@ class _Instrument:
                 return (self.name,)
             case "spherical":
                 return tuple(f"{self.name}_{w}" for w in ("range", "azimuth", "elevation"))
-        return tuple(f"{axis}{self.end}" for axis in "xyz")
+        axes = "xy" if self.kind == "planar" else "xyz"
+        return tuple(f"{axis}{self.end}" for axis in axes)
 
     def numbers(self) -> tuple[str, ...]:
         """Names of the numbers of an orientation."""
@@ -320,9 +332,9 @@ class _Instrument:
         return tuple(f"{name}{self.end}" for name in usual)
 
     def entry(self) -> dict[str, Any]:
-        types = {"point": "point", "pose": "pose", "length": "draw-wire", "spherical": "spherical"}
-        made: dict[str, Any] = {"type": types[self.kind], "name": self.name, "target": self.target}
-        if self.kind in ("point", "pose"):
+        kind = _NAMES[self.kind][1]
+        made: dict[str, Any] = {"type": kind, "name": self.name, "target": self.target}
+        if self.kind in ("point", "planar", "pose"):
             made |= {"station": self.station, "readings": list(self.names())}
         if self.kind == "spherical":
             made["station"] = self.station
@@ -339,7 +351,7 @@ class _Instrument:
             return {"value": round(1e3 * float(value), 1) + 0.0, "unit": "mm"}
 
         near = {"sd": 1e3 * NEAR}
-        made = {f"{self.target}_{a}": length(v) | near for a, v in zip("xyz", target, strict=True)}
+        made = {f"{self.target}_{a}": length(v) | near for a, v in zip("xyz", target, strict=False)}
         if mounted.turn is not None:
             from scipy.spatial.transform import Rotation
 
@@ -348,6 +360,14 @@ class _Instrument:
                 entry = {"value": round(float(value), 2) + 0.0, "unit": "deg"}
                 entry["sd"] = float(significant(from_si(TURNED, "deg"), 2))
                 made[f"{self.target}_{motion}"] = entry
+        if mounted.stands is not None and len(target) == 3:
+            # Alignment in its plane finds the rest.
+            _, *tilts = yaw_pitch_roll(mounted.stands)
+            if np.abs(tilts).max() > _LEVEL:
+                made |= {
+                    f"{self.station}_{motion}": {"value": round(np.degrees(a)) + 0.0, "unit": "deg"}
+                    for motion, a in zip(("ry", "rx"), tilts, strict=True)
+                }
         if mounted.anchor is not None:
             made |= {
                 f"{self.name}_{a}": length(v) for a, v in zip("xyz", mounted.anchor, strict=True)

@@ -126,7 +126,32 @@ def understood(
         best = _asked([best, *rivals], ask)
     best = replace(best, seen=tuple(m.fitted(best.bodies) for m in best.seen))
     best, further = measured_only(machine, [best, *near], best)
+    _refuse_out_of_plane(machine, best)
     return replace(best, remarks=(*remarks, *_alternatives(best, ways), *further))
+
+
+def _refuse_out_of_plane(machine: Machine, way: Understood) -> None:
+    """Raise InputError for readings in space, or of a mirrored frame, of a machine in a plane."""
+    if machine.dimension == 3:
+        return
+    for meaning in way.seen:
+        columns = names_of(meaning.seen.position)
+        if meaning.seen.kind != "planar" or meaning.fit is None or meaning.fit.stands is None:
+            error = InputError(
+                f"{columns} are no x and y of a point, and the machine moves in a plane",
+                code="unsupported",
+                remedy="state x and y in the plane in which the machine moves, without z",
+            )
+            if meaning.seen.kind == "point":
+                error.offering("--leave-out", meaning.seen.position[2].label)
+            raise error
+        if meaning.fit.stands[2, 2] < 0.0:
+            raise InputError(
+                f"{columns} form a left-handed frame: only mirrored the nominal machine fits",
+                code="implausible-readings",
+                remedy="the columns are exchanged, or one has the wrong sign: correct it. If the "
+                "joints count the other way round, state all of them so with --joints",
+            ).offering("--joints", ",".join(f"-{f.label}" for f in way.layout.joints))
 
 
 def _in_proportion(machine: Machine, ways: list[Understood]) -> list[Understood]:

@@ -76,12 +76,13 @@ def refined(
     meaning: Meaning,
     coupled: Sequence[tuple[str, str]] = (),
 ) -> Refined | None:
-    """The machine that points of one instrument determine; None for a length, and too few poses.
+    """The machine that points of one instrument determine; None for other readings, and for too
+    few poses.
 
     coupled: pairs of joints, of which the first moves by a multiple of the second too, to be
     estimated.
     """
-    if meaning.position.ndim != 2 or meaning.fit is None:
+    if not meaning.in_space or meaning.fit is None:
         return None
     readable = np.isfinite(meaning.position).all(axis=1) & way.bodies.complete
     rows = np.flatnonzero(readable)
@@ -174,7 +175,7 @@ def computed(ways: Sequence[Understood], meaning: Meaning) -> tuple[float, bool]
     Points in the machine's own base that lie on its own last origin are a controller's, though an
     instrument may have been set up so. Wherever it stands, none sees a machine as drawn.
     """
-    if meaning.position.ndim != 2:
+    if not meaning.in_space:
         return None
     doubtful = None
     for way in ways:
@@ -209,7 +210,7 @@ def measured_only(
     machine: Machine, ways: Sequence[Understood], best: Understood
 ) -> tuple[Understood, tuple[str, ...]]:
     """The best way without points that were computed or commanded, and what to say of them."""
-    if not any(m.position.ndim == 2 for m in best.seen):
+    if not any(m.in_space for m in best.seen):
         return best, ()
     remarks, kept = [], []
     for meaning in best.seen:
@@ -256,6 +257,8 @@ def _commanded(
     """Whether other points follow the drawing (or another model) where this instrument shows that
     the machine does not."""
     if fit is None or exact is None:
+        return False
+    if other.seen.station:  # the same columns in other rows: measured as these are
         return False
     drawn, drawn_other = (_rms(m.fitted(way.bodies).fit) for m in (meaning, other))
     if drawn < CLEARLY * fit.rms:
