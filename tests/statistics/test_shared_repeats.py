@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ import loopcal as lc
 from loopcal.measurements.averaged import averaged
 from loopcal.statistics.another_day import day_problem
 from loopcal.statistics.calibrated import Calibrated
+from loopcal.statistics.folds import may_repeat
 from loopcal.statistics.predictive import held_problem
 from loopcal.statistics.validation import Validation
 from tests.reference.simulated import arm_at, planar_arm
@@ -107,6 +110,29 @@ def test_repeats_that_err_for_themselves_count_each() -> None:
         assert not result.document.data.averaged
         squares.append(square(result))
     assert 0.3 < np.mean(squares) < 2.0
+
+
+@pytest.mark.parametrize(
+    ("rows", "repeated"),
+    [
+        (range(300), False),
+        ([*range(299), 298], True),  # one row repeats the one before it
+        ([*range(220), *range(80)], True),  # a quarter of the rows is there again, apart
+        ([*range(297), 0, 1, 2], False),  # few rows are
+        ([0], False),
+    ],
+)
+def test_few_looks_tell_whether_poses_repeat(rows: Sequence[int], repeated: bool) -> None:
+    joints = np.random.default_rng(1).uniform(-2.0, 2.0, (4, 300))
+    units = dict.fromkeys("abcd", "rad")
+    arm = lc.Mechanism.from_function(
+        lambda x, p: [p.l * x.a + x.b + x.c + x.d - x.out],
+        parameters={"l": (1.0, "m")},
+        quantities=units | {"out": "m"},
+        outputs=["out"],
+    )
+    data = lc.Dataset.from_arrays(dict(zip("abcd", joints, strict=True)) | {"out": joints[0]})
+    assert may_repeat(arm, data.take(np.array(rows, dtype=np.intp)), {}) == repeated
 
 
 @pytest.mark.parametrize("apart", [False, True])

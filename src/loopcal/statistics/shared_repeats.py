@@ -33,7 +33,7 @@ from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 from loopcal.statistics.another_day import Day
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.case import Case, taken
-from loopcal.statistics.folds import Index, Scheme, grouped, repeated, stated_sds
+from loopcal.statistics.folds import Index, Scheme, grouped, may_repeat, repeated, stated_sds
 
 # Chosen, not derived: of a thousand sets whose repeats err for themselves, one is averaged.
 LEVEL = 1e-3
@@ -102,7 +102,8 @@ class Means:
         """Repeats that follow each other, then also those that do not, where they are many; none of
         a case whose rows copy others."""
         read, stated = _read(case.mechanism), None if scheme is None else scheme.groups
-        if not read or case.copied.size:
+        sds = stated_sds(case.noise, case.mechanism, case.data)
+        if not read or case.copied.size or not may_repeat(case.mechanism, case.data, sds):
             return
         within = None if stated is None else grouped(case.mechanism, case.data, stated)
         poses = same_poses(case.mechanism, case.data, case.noise, within)
