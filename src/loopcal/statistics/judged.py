@@ -96,7 +96,9 @@ def without_fits(one: Judged) -> Judged:
     parameters. Without outputs they stay, because what they state is compared."""
     if one.whole is None or not one.whole.mechanism.outputs:
         return one
-    made = (p if isinstance(p, Failed) else replace(p, fit=None, held=None) for p in one.made)
+    made = (
+        p if isinstance(p, Failed) else replace(p, fit=None, held=None, near=None) for p in one.made
+    )
     return replace(one, made=tuple(made))
 
 
