@@ -59,22 +59,6 @@ def test_repeats_that_share_an_error_count_as_one_reading() -> None:
     assert len(warned) == 1
 
 
-@pytest.mark.parametrize("method", ["implicit-loop", "least-squares"])
-def test_so_do_they_by_a_stated_method(method: str) -> None:
-    squares = []
-    for seed in range(5):
-        data = repeats(seed, shared=True)
-        result = lc.calibrate(ARM.truth, data, noise=NOISE, method=method)
-        assert len(result.document.data.averaged) == POSES * (TIMES - 1)
-        squares.append(square(result))
-        apart = lc.calibrate(ARM.truth, repeats(seed, shared=False), noise=NOISE, method=method)
-        assert not apart.document.data.averaged
-    # 3.6 and 1.6 over ten seeds where each repeat counts for itself
-    assert np.mean(squares) < 1.5
-    without = lc.calibrate(ARM.truth, repeats(0, shared=True), method="least-squares")
-    assert len(without.poses) == POSES
-
-
 def between_poses(seed: int, times: int) -> lc.Dataset:
     """Single poses, and the first of them read again so many times in between, by one error."""
     rows = 3 * np.arange(POSES)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Unpack
 
 from loopcal.errors import InputError
-from loopcal.estimation.calibrate import refuse_noise
+from loopcal.estimation.calibrate import calibrate as calibrate_by_method
 from loopcal.estimation.fit import Fit, FitOptions
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.solver import Progress
@@ -65,8 +65,7 @@ def calibrate(
     or shuffled, and readings of another machine. The fit is then cut short, no sd is estimated, and
     `Result.faults` names them.
 
-    Rows that copy others in every column count once, and so do repeats of a pose that share its
-    error, by their mean; `Result.dataset` is what was used.
+    Rows that copy others in every column count once; `Result.dataset` is what was used.
 
     Raises InputError for input that cannot be used. A fit that does not converge is returned, with
     the reason in its status.
@@ -74,16 +73,14 @@ def calibrate(
     asked, stated_noise = Fit.of(fit, options), Noise.of(noise)
     if not asked.method.choice:
         _refuse_sharing(asked, scheme, executor)
-        refuse_noise(asked, stated_noise)
+        return calibrate_by_method(
+            mechanism, data, noise=stated_noise, fit=asked, progress=progress
+        )
+    from loopcal.statistics.choice import choose
+
     if not isinstance(data, Dataset):
         data = Dataset.from_arrays(data)
     case = Case(mechanism, data, stated_noise, asked)
-    if not asked.method.choice:
-        from loopcal.statistics.by_pose import ByPose
-
-        return ByPose.of(case, progress=progress).result
-    from loopcal.statistics.choice import choose
-
     return choose(case, scheme, executor, iterated=progress).result
 
 

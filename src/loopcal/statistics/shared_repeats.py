@@ -9,9 +9,9 @@ times that of the mean. Of its deviation d_gi [SI] from the mean readings
 
     S = sum_gi |X_g d_gi|^2 / n_g,   f = r sum_g (n_g - 1),
 
-S / f over the variance factor of the fit, sum |E|^2 over its degrees of freedom, would be
-F-distributed with f and these; shared errors make it less. On another day the calibration states
-the sds of one reading, X whitens by them, and S without n_g would be chi-squared.
+S / f would be F-distributed with f and the degrees of freedom that the fit has left; shared errors
+make it less. On another day the calibration states the sds of one reading, X whitens by them, and S
+without n_g would be chi-squared.
 """
 
 from __future__ import annotations
@@ -131,10 +131,7 @@ class Means:
             count[block.poses] = block.E.shape[1]
         freedom = float(count @ (number - 1.0))
         left = sum(block.E.size - float(np.square(block.D @ root).sum()) for block in equations)
-        if left < 1.0:
-            return False
-        factor = sum(float(np.square(block.E).sum()) for block in equations) / left
-        return bool(fdtr(freedom, left, square / (freedom * factor)) < LEVEL)
+        return left >= 1.0 and bool(fdtr(freedom, left, square / freedom) < LEVEL)
 
 
 def _first(groups: Index) -> Index:

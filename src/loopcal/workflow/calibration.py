@@ -276,10 +276,7 @@ class _Run:
 
             result = choose(case, scheme, **self._shared("fits"), iterated=progress).result
         else:
-            from loopcal.statistics.by_pose import ByPose
-
-            by_pose = ByPose.of(case, scheme, progress)
-            case, scheme, result = by_pose.case, by_pose.scheme, by_pose.result
+            result = case.calibrated(progress=progress)
         if self.listeners.fitted is not None:
             self.listeners.fitted(result)
         if self.fit.method.choice or scheme is None:
