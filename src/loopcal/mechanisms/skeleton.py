@@ -11,7 +11,6 @@ from loopcal.expressions.engine import Stage, engine_for
 from loopcal.mechanisms.chain import Step, frames, product
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.mechanism import PIXELS, Mechanism
-from loopcal.mechanisms.outputs import measured_points
 from loopcal.mechanisms.parallel.registry import PARALLEL
 from loopcal.mechanisms.placement import ChainPlacement, rigid
 from loopcal.mechanisms.serial import tool_names
@@ -22,8 +21,7 @@ _MOST, _SETTLED, _OPEN = 50, 1e-10, 0.05
 
 
 def skeleton(mechanism: Mechanism, joints: Mapping[str, float]) -> Array | None:
-    """Points (k, 3), or (k, 2) of a planar machine and of what is read in x and y alone, [m]; lines
-    are parted by a row of NaN.
+    """Points (k, 3), or (k, 2) of a planar machine, [m]; lines are parted by a row of NaN.
 
     Of an arm from the first joint to the tool point, of a robot with several arms each of these,
     of a parallel machine its legs and bodies.
@@ -53,8 +51,7 @@ def skeleton(mechanism: Mechanism, joints: Mapping[str, float]) -> Array | None:
         at = np.array([values[name] for name in tool] or [0.0, 0.0, 0.0])
         points += [T[:3, 3], T[:3, :3] @ at + T[:3, 3]]
         arms.append(np.array(points))
-    flat = any(len(point) == 2 for point in measured_points(mechanism))
-    return _seen(arms, np.eye(4), 2 if flat else 3)
+    return _seen(arms, np.eye(4), 3)
 
 
 def drawn_in(mechanism: Mechanism) -> tuple[Step, ...]:

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 import loopcal as lc
 from loopcal.cli.run import main
 from loopcal.mechanisms.skeleton import skeleton
+from loopcal.report.sighted import sightings
 from tests.refusals import refused
 
 Array = NDArray[np.float64]
@@ -57,8 +58,9 @@ def test_an_arm_in_space_is_begun_from_x_and_y(tmp_path: Path, stands: Array) ->
         assert p.sd is not None
         assert abs(p.value - p.nominal - off) < 4.0 * p.sd < 0.5e-3
     drawn = skeleton(fit.mechanism, dict.fromkeys(fit.mechanism.joints, 0.1))
+    (seen,) = sightings(fit.mechanism, fit.dataset.readings, fit.differences_after)
     assert drawn is not None
-    assert drawn.shape[1] == 2
+    assert drawn.shape[1] == len(seen.at) == 3  # arrows and machine stand in one figure
     later = table(rng, stands @ Rotation.from_euler("z", 0.5).as_matrix(), 12)
     assert lc.verify(fit, later).verdict["consistent"].passed
 
