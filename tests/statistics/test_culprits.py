@@ -52,6 +52,8 @@ def test_what_was_stated_wrongly_is_at_fault(f: float, size: float, fault: str) 
     assert parts.validation.images is not None
     assert parts.validation.images.words == "3 regions of the image of 16 poses"
     assert parts.validation.images.places
+    # A step would state no region.
+    assert parts.validation.images.coverage is not None
     assert {one.name for one in parts.halves} >= {"eye_f", "eye_cx", "eye_k1"}
     assert max(abs(one.sds) for one in parts.halves) < 4.0
 

@@ -169,7 +169,7 @@ def image_validation(
     parts = image_regions(case.mechanism, case.data, plan.groups)
     if parts is None or whole is None:
         return None
-    (made,) = left_out([(case, whole)], parts.indices, executor, stepped=True)
+    (made,) = left_out([(case, whole)], parts.indices, executor)  # steps state no regions
     try:
         return pooled(whole, made, Plan(parts, None, plan.groups), case.data)
     except NoTrustworthyResult:

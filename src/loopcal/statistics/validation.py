@@ -236,7 +236,7 @@ def refitted(
 ) -> list[Outcome]:
     """The same parts, each that steps predicted by a fit that begins where these ended."""
     begun = _Begun.at(case, whole)
-    steps = {i: p for i, p in enumerate(made) if isinstance(p, Predicted) and p.near}
+    steps = {i: p for i, p in enumerate(made) if isinstance(p, Predicted) and p.near is not None}
     fits = gathered(executor or process_cores(), _fitted, begun, [*steps.values()])
     by_position = dict(zip(steps, fits, strict=True))
     return [by_position.get(i, part) for i, part in enumerate(made)]

@@ -171,7 +171,7 @@ def _left_out(stated: PlaceTable, tables: Sequence[PlaceTable]) -> Iterator[str]
             yield (
                 f"{table.file} states {len(table.name)} poses too, which are not used. If they "
                 f"belong to other images than those of {stated.file}, write all poses into one "
-                "table. If each camera has poses of its own, calibrate each in a folder of its own"
+                "table. If the cameras have different poses, use one folder for each camera"
             )
 
 
