@@ -69,12 +69,12 @@ def renamed(machine: Machine, words: Words) -> Machine:
     """The machine with other names of its readings and parameters."""
 
     def all_of(gauge: Gauge) -> Gauge:
-        changed: dict[str, Any] = {
-            f.name: tuple(map(words, names))
-            for f in fields(gauge)
-            if isinstance(names := getattr(gauge, f.name), tuple)
-        }
-        return replace(gauge, **changed)
+        def changed(names: Any) -> Any:
+            if isinstance(names, tuple):
+                return tuple(map(changed, names))
+            return words(names) if isinstance(names, str) else names
+
+        return replace(gauge, **{f.name: changed(getattr(gauge, f.name)) for f in fields(gauge)})
 
     def step(s: Step) -> Step:
         return replace(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -10,7 +12,8 @@ from scipy.stats import chi2
 import loopcal as lc
 from analyses.machines import CASES, OWN, STEWART_GOUGH, Case
 from loopcal.expressions.engine import engine_for
-from loopcal.mechanisms.machine import assemble
+from loopcal.mechanisms.instruments.point import point
+from loopcal.mechanisms.machine import Machine, assemble
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parallel.delta import linear_delta, rotary_delta
 from loopcal.mechanisms.parallel.five_bar import five_bar
@@ -203,3 +206,50 @@ def test_least_squares_finds_exact_machines_and_needs_no_word_of_what_nobody_rea
     assert found.status.converged
     for parameter in free:
         assert found.value[parameter] == pytest.approx(truth[parameter], abs=1e-8)
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize(
+    ("machine", "ties"),
+    [(stewart_gough, "ab"), (three_rrr, "ab"), (five_bar, "a"), (four_bar, "a")],
+)
+def test_what_is_held_ties_the_frame_however_a_drawing_turns_and_numbers_the_joints(
+    machine: Callable[[], Machine], ties: str, seed: int
+) -> None:
+    """No motion of the frame leaves all held coordinates where they are.
+
+    A rigid motion moves a joint at r by v + w x r; the rows of what is held have full rank.
+    """
+    made = machine()
+    rng = np.random.default_rng(seed)
+    plane = made.dimension == 2
+    turn = Rotation.from_euler("z", [90.0, -90.0, 180.0, 45.0][seed % 4], degrees=True)
+    if seed >= 8 and not plane:
+        turn = Rotation.random(random_state=seed)
+    nominal: dict[str, float] = {}
+    for body in ties:
+        joints = sorted({n[:2] for n in made.parameters if n[0] == body and n[1].isdigit()})
+        at = np.array([_joint_at(made, joint) for joint in joints])[rng.permutation(len(joints))]
+        for joint, place in zip(joints, turn.apply(at), strict=True):
+            nominal |= {n: v for n, v in coordinates(joint, place).items() if n in made.parameters}
+    # A point from a station somewhere sees lengths, and ties neither frame.
+    parameters = assemble(
+        made, [point(readings=tuple("xyz"[: made.dimension]), dimension=made.dimension)], nominal
+    ).parameters
+    for body in ties:
+        rows, size = [], max(abs(v) for n, v in nominal.items() if n[0] == body)
+        for n, value in nominal.items():
+            if n[0] == body and parameters[n].fixed:
+                assert value == parameters[n].nominal
+                joint, axis = n.split("_")
+                r = [nominal.get(f"{joint}_{a}", 0.0) / size for a in "xyz"]
+                e = np.eye(3)["xyz".index(axis)]
+                motion = np.concatenate([e, np.cross(r, e)])
+                rows.append(motion[[0, 1, 5]] if plane else motion)
+        assert np.shape(rows) == ((3, 3) if plane else (6, 6))
+        assert np.linalg.cond(rows) < 100.0
+
+
+def _joint_at(machine: Machine, joint: str) -> list[float]:
+    names = [f"{joint}_{axis}" for axis in "xyz"]
+    return [machine.parameters[n].nominal if n in machine.parameters else 0.0 for n in names]

@@ -322,7 +322,10 @@ def assemble(
         *(_placed(i, i.parameters) for i in instruments),
     ):
         parameters |= {name: p for name, p in part.items() if name not in parameters}
-    without_effect = held(machine.gauge, instruments)
+    drawn = parameters | stated(parameters, nominal or {})
+    without_effect = held(machine.gauge, instruments, drawn)
+    # A file that is read again states each of them: calibrated values may tie other coordinates.
+    maybe_held = without_effect.union(machine.gauge.names)
     parameters = fixed(parameters, without_effect)
     parameters |= stated(parameters, nominal or {})
 
@@ -363,7 +366,7 @@ def assemble(
         masses=machine.masses,
         placement=alone.place if alone is not None and alone.against == root else None,
         body=_body(machine, instruments, made.tape, loops) if instruments else None,
-        description=_description(machine, instruments, without_effect),
+        description=_description(machine, instruments, maybe_held),
     )
 
 
@@ -463,7 +466,7 @@ def _placed(
 
 
 def _description(
-    machine: Machine, instruments: Sequence[Instrument], held_now: set[str]
+    machine: Machine, instruments: Sequence[Instrument], names: Iterable[str]
 ) -> dict[str, Any] | None:
     """What a mechanism file says of them; None where one of them is a user's own."""
     if not machine.description or not all(i.description for i in instruments):
@@ -471,7 +474,7 @@ def _description(
     return {
         **machine.description,
         "instrument": [i.description for i in instruments],
-        "held": sorted(held_now),
+        "held": sorted(names),
     }
 
 

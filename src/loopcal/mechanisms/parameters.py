@@ -14,7 +14,11 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from itertools import chain
 from typing import Any, Literal, Protocol, cast, get_args
+
+import numpy as np
+from numpy.typing import NDArray
 
 from loopcal.errors import InputError, refuse_repeated, unknown_name
 from loopcal.lazy import cached_property
@@ -284,17 +288,24 @@ def declared(parameters: Mapping[str, object]) -> Parameters:
 class Gauge:
     """Parameters that place a frame or set the scale, by what they place.
 
-    base: where the base frame lies, tied by an instrument that reads coordinates in it; body:
-    where the body's frame lies, tied by an instrument that reads the pose of that very frame;
-    scale: the size of a machine that itself reads angles alone, tied by any measured length.
-    translating: the body never turns; the place of a target on it is indistinguishable from that of
-    the station, and the first instrument's target is held.
+    base: where the base frame lies, tied by an instrument that reads coordinates in it; base_joints
+    and body_joints: the coordinates of joints, (a1_x, a1_y, a1_z) and so on, by which the frames of
+    base and body lie; the body's is tied by an instrument that reads the pose of that very frame;
+    scaled: the machine itself reads angles alone, so that the distance of two joints of the base is
+    its size, tied by any measured length. translating: the body never turns; the place of a target
+    on it is indistinguishable from that of the station, and the first instrument's target is held.
     """
 
     base: tuple[str, ...] = ()
-    body: tuple[str, ...] = ()
-    scale: tuple[str, ...] = ()
+    base_joints: tuple[tuple[str, ...], ...] = ()
+    body_joints: tuple[tuple[str, ...], ...] = ()
+    scaled: bool = False
     translating: bool = False
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All parameters that may be held for a frame."""
+        return (*self.base, *chain(*self.base_joints, *self.body_joints))
 
 
 class Reader(Protocol):
@@ -325,21 +336,54 @@ _COORDINATES = ("point", "spherical", "pose")
 """Forms of readings that say where in a frame something is, rather than how far from a thing."""
 
 
-def held(gauge: Gauge, instruments: Sequence[Reader]) -> set[str]:
-    """Names of the parameters that nothing but the drawing can say."""
+def held(gauge: Gauge, instruments: Sequence[Reader], drawn: Mapping[str, Parameter]) -> set[str]:
+    """Names of the parameters that nothing but the drawing can say; drawn: with its values."""
     names: set[str] = set()
+    base, size = _frame(gauge.base_joints, drawn)
     if not any(i.form in _COORDINATES and not i.placement for i in instruments):
-        names |= set(gauge.base)
+        names |= {*gauge.base, *base}
     # The pose of a target leaves the target's place in the body's frame open, so it ties nothing.
     if not any(i.form == "pose" and not i.parameters for i in instruments):
-        names |= set(gauge.body)
+        names |= {*_frame(gauge.body_joints, drawn)[0]}
     if gauge.translating and instruments:
         names |= {n for n, p in instruments[0].parameters.items() if p.unit == "m"}
     units = [u for i in instruments for q, u in i.readings.items() if q not in i.implied]
     # Angles are the same for a machine of any size.
-    if "m" not in units:
-        names |= set(gauge.scale)
+    if gauge.scaled and "m" not in units:
+        names |= {size}
     return names
+
+
+_APART = 0.3
+"""Least distance of a second joint, in that of the farthest one: nearer ones turn the frame."""
+
+
+def _frame(
+    joints: Sequence[Sequence[str]], drawn: Mapping[str, Parameter]
+) -> tuple[list[str], str]:
+    """The coordinates by which a frame lies, and the one that sets its size.
+
+    All of the first joint; of the second all but the one along which it lies most, which sets the
+    size; in space, of the joint farthest from the line of both, the one most across their plane.
+    """
+    if not joints:
+        return [], ""
+    at = np.array([[drawn[name].nominal for name in joint] for joint in joints])
+    away = at - at[0]
+    second = _first_largest(np.linalg.norm(away, axis=1), _APART)
+    along = _first_largest(np.abs(away[second]))
+    size = joints[second][along]
+    coordinates = [*joints[0], *(name for name in joints[second] if name != size)]
+    if at.shape[1] > 2:  # in space a turn about the line of both is left
+        across = np.cross(away[second], away)
+        third = _first_largest(np.linalg.norm(across, axis=1))
+        coordinates.append(joints[third][_first_largest(np.abs(across[third]))])
+    return coordinates, size
+
+
+def _first_largest(sizes: NDArray[np.float64], share: float = 1.0 - 1e-3) -> int:
+    """The first of those that are as large as the largest, or as this share of it."""
+    return int(np.argmax(sizes >= share * sizes.max()))
 
 
 def fixed(parameters: Mapping[str, Parameter], names: set[str]) -> dict[str, Parameter]:

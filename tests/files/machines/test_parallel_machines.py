@@ -41,6 +41,16 @@ def test_they_are_written_again_bit_for_bit_also_where_held_parameters_are_freed
     assert dict(again.home) == dict(machine.home)
 
 
+def test_what_is_held_follows_the_drawing_of_the_file_and_is_read_again_as_it_was() -> None:
+    """Joints a1 and a2 one beside the other along y: their x cannot say how the base is turned."""
+    text = 'type = "five-bar"\n[parameters]\na1_y = -0.1\n"a?_x" = 0.2\na2_y = 0.1\n'
+    machine = read(text + '[[instrument]]\ntype = "point"\n')
+    held = [p.name for p in machine.parameters if p.fixed]
+    assert held == ["a1_x", "a1_y", "a2_x"]
+    turned = machine.with_nominal({"a2_x": 0.5})  # as if a calibration had turned the drawing
+    assert [p.name for p in read(mechanism_to_toml(turned)).parameters if p.fixed] == held
+
+
 @pytest.mark.parametrize(
     ("text", "code", "stated"),
     [

@@ -418,5 +418,5 @@ def test_legs_that_no_platform_has_are_refused(tmp_path: Path) -> None:
     legs = {f"L{i} [mm]": rng.uniform(630, 760, 40) for i in range(1, 7)}
     written(tmp_path / "a.csv", {**legs, **xyz("{} [mm]", rng.uniform(1.0, 2.0, (40, 3)))})
     (tmp_path / "m.toml").write_text('schema = 1\ntype = "stewart-gough"\n', "utf-8")
-    with refused("implausible-readings", "does not describe"):
+    with refused("implausible-readings", "does not describe", "those left out have the values"):
         lc.init(tmp_path / "a.csv", machine=str(tmp_path / "m.toml"))

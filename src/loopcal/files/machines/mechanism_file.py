@@ -8,12 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
 from loopcal.errors import InputError, placed, unknown_name
-from loopcal.files.machines.parameter_entries import StatedParameter, by_dimension, changed
+from loopcal.files.machines.parameter_entries import (
+    StatedParameter,
+    by_dimension,
+    changed,
+    entries_of,
+)
 from loopcal.files.machines.python_function import Loops
 from loopcal.files.result.pair import refuse_stale
 from loopcal.files.toml.place import Place, Scope
@@ -200,10 +204,9 @@ def _structured(
     from loopcal.mechanisms.terms import stated_terms
 
     parameters_place, plain = place.at("parameters"), mechanism.parameters
-    plain_entries = {
-        key: e for key, e in entries.items() if any(fnmatchcase(n, key) for n in plain.names)
-    }
-    before = mechanism.with_parameters(changed(plain, plain_entries, parameters_place, units))
+    before = mechanism.with_parameters(
+        changed(plain, entries_of(plain, entries), parameters_place, units)
+    )
     with placed(place.at("structure")):
         made = structured(before, **structure)
     sure = {key: False for key, e in entries.items() if e.sd is not None or e.fixed}

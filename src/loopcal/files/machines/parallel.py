@@ -9,13 +9,14 @@ from typing import Annotated, Any
 
 from loopcal.files.machines.attached import Instruments
 from loopcal.files.machines.machine_type import MachineTable, MachineType, looked_at
-from loopcal.files.machines.parameter_entries import in_si
+from loopcal.files.machines.parameter_entries import changed, entries_of, in_si
 from loopcal.files.toml.place import Place, Scope
 from loopcal.files.toml.tables import stated_arguments
 from loopcal.keys import Key
 from loopcal.mechanisms.machine import Machine
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parallel.registry import PARALLEL
+from loopcal.mechanisms.parameters import Parameters
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,12 @@ def _parallel(
         else amount.value
         for name, amount in stated.home.items()
     }
-    return looked_at(make(**options, home=home), stated.instrument, scope, place)
+    machine = make(**options, home=home)
+    parameters = Parameters(tuple(machine.parameters.values()))
+    entries = entries_of(parameters, stated.parameters)
+    drawn = changed(parameters, entries, place.at("parameters"), scope.units)
+    nominal = {p.name: p.nominal for p in drawn}
+    return looked_at(machine, stated.instrument, scope, place, nominal)
 
 
 TYPES = {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from typing import Annotated, Any
 
 from loopcal.errors import InputError, placed
@@ -121,6 +122,13 @@ def changed(
                 remedy=f"state it of {p.same!r} alone",
             )
     return Parameters(tuple(replace(p, **changes[p.name]) for p in parameters))
+
+
+def entries_of(
+    parameters: Parameters, entries: Mapping[str, StatedParameter]
+) -> dict[str, StatedParameter]:
+    """Those whose name or glob stands for one of these parameters."""
+    return {k: e for k, e in entries.items() if any(fnmatchcase(n, k) for n in parameters.names)}
 
 
 def declared_parameters(

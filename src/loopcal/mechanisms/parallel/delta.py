@@ -64,7 +64,8 @@ def linear_delta(
         equations,
         home=parts.starts(_LINEAR_HOME, home, quantities, name),
         gauge=Gauge(
-            base=("a1_x", "a1_y", "rail_1_rx", "rail_1_ry", "slide_1_offset", "a2_y"),
+            base=("rail_1_rx", "rail_1_ry", "slide_1_offset"),
+            base_joints=parts.joint_names("a", 3, "xy"),
             translating=True,
         ),
         lines=_rails,

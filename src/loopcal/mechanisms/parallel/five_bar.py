@@ -70,7 +70,7 @@ def five_bar(
         equations,
         home=parts.starts(_HOME, home, quantities, name),
         dimension=2,
-        gauge=Gauge(base=("a1_x", "a1_y", "a2_y"), scale=("a2_x",)),
+        gauge=Gauge(base_joints=parts.joint_names("a", 2, "xy"), scaled=True),
         lines=lines,
         description={"type": "five-bar", "passive": list(passive), "home": dict(home or {})},
     )

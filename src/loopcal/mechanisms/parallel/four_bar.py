@@ -78,7 +78,7 @@ def four_bar(
         equations,
         home=parts.starts(_HOME, home, angles, name),
         dimension=2,
-        gauge=Gauge(base=("a1_x", "a1_y", "a2_y"), scale=("a2_x",)),
+        gauge=Gauge(base_joints=parts.joint_names("a", 2, "xy"), scaled=True),
         lines=lines,
         description={"type": "four-bar", "passive": list(passive), "home": dict(home or {})},
     )

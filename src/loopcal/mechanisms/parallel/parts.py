@@ -32,6 +32,11 @@ def joint_coordinates(joints: Mapping[str, Sequence[float]]) -> dict[str, Parame
     }
 
 
+def joint_names(letter: str, count: int, axes: str = "xyz") -> tuple[tuple[str, ...], ...]:
+    """The coordinates of the joints a1, a2 and so on, joint by joint."""
+    return tuple(tuple(f"{letter}{i}_{axis}" for axis in axes) for i in range(1, count + 1))
+
+
 def in_unit(unit: str, values: Mapping[str, float]) -> dict[str, Parameter]:
     """Lengths, or turns between axes, with these nominal values [SI]."""
     role: Role = "length" if unit == "m" else "twist"

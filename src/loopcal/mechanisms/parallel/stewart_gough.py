@@ -83,10 +83,7 @@ def stewart_gough(
         (*(f"leg_{i}" for i in LEGS), *passive),
         equations,
         home=parts.starts(_HOME, home, quantities, name),
-        gauge=Gauge(
-            base=("a1_x", "a1_y", "a1_z", "a2_y", "a2_z", "a4_z"),
-            body=("b1_x", "b1_y", "b1_z", "b2_y", "b2_z", "b4_z"),
-        ),
+        gauge=Gauge(base_joints=parts.joint_names("a", 6), body_joints=parts.joint_names("b", 6)),
         lines=lines,
         description={"type": "stewart-gough", "passive": list(passive), "home": dict(home or {})},
     )

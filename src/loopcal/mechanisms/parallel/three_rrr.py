@@ -72,7 +72,11 @@ def three_rrr(
         equations,
         home=parts.starts(_HOME, home, quantities, name),
         dimension=2,
-        gauge=Gauge(base=("a1_x", "a1_y", "a2_y"), body=("b1_x", "b1_y", "b2_y"), scale=("a2_x",)),
+        gauge=Gauge(
+            base_joints=parts.joint_names("a", 3, "xy"),
+            body_joints=parts.joint_names("b", 3, "xy"),
+            scaled=True,
+        ),
         lines=lines,
         description={"type": "three-rrr", "passive": list(passive), "home": dict(home or {})},
     )

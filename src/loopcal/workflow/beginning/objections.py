@@ -351,6 +351,11 @@ def _nothing(case: Case) -> Explanation:
         "check the robot (URDF, Denavit-Hartenberg table and its convention), the signs and zeros "
         "of the joints, and that joints and instrument are of the same poses"
     )
+    if case.machine.frame is not None:
+        remedy += (
+            "; state every joint, length and offset of the machine: those left out have the values "
+            "of the example that `loopcal new` writes"
+        )
     if case.fields.by_order:
         remedy += "; their rows were joined by order: give both files a column of pose ids"
     joints = best.layout.joints
