@@ -12,8 +12,9 @@ from scipy.stats import chi2
 import loopcal as lc
 from analyses.machines import CASES, OWN, STEWART_GOUGH, Case
 from loopcal.expressions.engine import engine_for
+from loopcal.mechanisms.instruments.length import draw_wire
 from loopcal.mechanisms.instruments.point import point
-from loopcal.mechanisms.machine import Machine, assemble
+from loopcal.mechanisms.machine import Instrument, Machine, assemble
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parallel.delta import linear_delta, rotary_delta
 from loopcal.mechanisms.parallel.five_bar import five_bar
@@ -35,6 +36,10 @@ ALONE = {
     "Stewart-Gough": lambda: assemble(stewart_gough(passive=["alpha_1", "beta_1", "alpha_2"])),
 }
 RANGES = {name.split(",")[0]: case.driven for name, case in CASES.items()}
+
+
+def _axes(i: int) -> tuple[str, ...]:
+    return tuple(f"{axis}_{i}" for axis in "xyz")
 
 
 def off_nominal(mechanism: Mechanism, seed: int, by: float = 0.01) -> dict[str, float]:
@@ -158,6 +163,25 @@ def test_calibration_finds_the_truth(name: str) -> None:
     error = np.array([truth[n] - found.value[n] for n in found.estimated])
     whitened = error @ np.linalg.solve(found.covariance, error)
     assert chi2.sf(whitened, len(error)) > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("instruments", "held"),
+    [
+        ([draw_wire(f"w{i}", target=f"t{i}") for i in (1, 2)], ["t1", "t2"]),
+        ([draw_wire(f"w{i}", target="t") for i in (1, 2)], ["t"]),
+        ([point(f"p{i}", target=f"t{i}", readings=_axes(i)) for i in (1, 2)], ["t1"]),
+        ([point(target="t1"), draw_wire("w", target="t2")], ["t1", "t2"]),
+        ([point(target="t", station=None), draw_wire("w", target="t")], ["t"]),
+    ],
+)
+def test_a_body_that_never_turns_holds_one_target_of_what_stands_or_hangs_together(
+    instruments: list[Instrument], held: list[str]
+) -> None:
+    """Of each other target its place against the first is seen, or against its own anchor."""
+    parameters = assemble(linear_delta(), instruments).parameters
+    fixed = {p.name for p in parameters if p.fixed and p.name.startswith("t")}
+    assert fixed == {f"{target}_{axis}" for target in held for axis in "xyz"}
 
 
 def test_unread_passive_joints_are_refused_by_name() -> None:

@@ -293,7 +293,7 @@ class Gauge:
     base and body lie; the body's is tied by an instrument that reads the pose of that very frame;
     scaled: the machine itself reads angles alone, so that the distance of two joints of the base is
     its size, tied by any measured length. translating: the body never turns; the place of a target
-    on it is indistinguishable from that of the station, and the first instrument's target is held.
+    on it is indistinguishable from that of the station, and one target of each station is held.
     """
 
     base: tuple[str, ...] = ()
@@ -318,6 +318,10 @@ class Reader(Protocol):
     @property
     def parameters(self) -> Mapping[str, Parameter]:
         """Of what it looks at on the body."""
+
+    @property
+    def mounted(self) -> Iterable[str]:
+        """Of them, those of where on the body that is."""
 
     @property
     def placement(self) -> Mapping[str, Parameter]:
@@ -345,13 +349,31 @@ def held(gauge: Gauge, instruments: Sequence[Reader], drawn: Mapping[str, Parame
     # The pose of a target leaves the target's place in the body's frame open, so it ties nothing.
     if not any(i.form == "pose" and not i.parameters for i in instruments):
         names |= {*_frame(gauge.body_joints, drawn)[0]}
-    if gauge.translating and instruments:
-        names |= {n for n, p in instruments[0].parameters.items() if p.unit == "m"}
+    if gauge.translating:
+        names |= _one_target_each(instruments)
     units = [u for i in instruments for q, u in i.readings.items() if q not in i.implied]
     # Angles are the same for a machine of any size.
     if gauge.scaled and "m" not in units:
         names |= {size}
     return names
+
+
+def _one_target_each(instruments: Sequence[Reader]) -> set[str]:
+    """The first target of all instruments that a station or a target ties to each other.
+
+    What never turns shows the difference between a target and the station alone, or the base where
+    the instrument stands in its frame.
+    """
+    groups: list[tuple[set[str], set[str]]] = []
+    for i in instruments:
+        target = {n for n in i.mounted if i.parameters[n].unit == "m"}
+        if target:
+            tied = {*i.placement, *target} if i.placement else {"", *target}
+            linked = [group for group in groups if group[0] & tied]
+            groups = [group for group in groups if group not in linked]
+            first = linked[0][1] if linked else target
+            groups.append((tied.union(*(group[0] for group in linked)), first))
+    return {name for _, first in groups for name in first}
 
 
 _APART = 0.3

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +10,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import loopcal as lc
+from analyses.machines import LINEAR_DELTA
 from loopcal.cli.run import main
 from loopcal.estimation.mounted import bodies_of
 from loopcal.mechanisms.frame import ChainFrame
+from loopcal.mechanisms.parallel.delta import linear_delta
 from loopcal.mechanisms.planar import motoman_ma1400
 from tests.refusals import refused
 
@@ -155,6 +158,31 @@ def test_a_parallel_machine(tmp_path: Path, kind: str, columns: tuple[str, ...])
         for name in ("project.toml", "readings.csv"):
             (tmp_path / "out" / name).unlink(missing_ok=True)
     assert "tool_x" not in made.text or kind == "stewart-gough"
+
+
+def test_wires_of_a_platform_that_never_turns_begin_at_their_anchors() -> None:
+    """Its targets are held on it; anchors and zeros of wires are begun where readings put them."""
+    wires = [lc.draw_wire(f"w{i}", anchor=f"a_w{i}", target=f"t{i}") for i in (1, 2, 3)]
+    made = lc.assemble(linear_delta(), wires)
+    anchors = np.array([[0.9, 0.1, 1.0], [-0.7, 0.8, 1.1], [-0.5, -0.9, 0.9]])
+    truth = {
+        f"a_w{i}_{axis}": v
+        for i, at in enumerate(anchors, 1)
+        for axis, v in zip("xyz", at, strict=True)
+    }
+    truth |= {f"w{i}_offset": 0.1 * i for i in (1, 2, 3)}
+    driven = lc.random_poses(LINEAR_DELTA, 60, seed=1)
+    noise = lc.Noise({"slide_*": 1e-5, "w*": 5e-5, "platform_*": math.inf})
+    read = lc.simulate(made, driven, noise=noise, seed=2, truth=truth).dataset.readings
+    columns = {f"S{i} [m]": read[f"slide_{i}"] for i in (1, 2, 3)}
+    columns |= {f"wire {i} [m]": read[f"w{i}"] for i in (1, 2, 3)}
+    started = lc.init(columns, machine="linear-delta").mechanism
+    values = {p.name: p.nominal for p in started.parameters}
+    for i, at in enumerate(anchors, 1):
+        begun = [values[f"wire_{i}_{axis}"] for axis in "xyz"]
+        assert np.linalg.norm(begun - at) < 0.02
+        assert values[f"wire_{i}_offset"] == pytest.approx(0.1 * i, abs=0.02)
+        assert all(started.parameters[f"tool_{i}_{axis}"].fixed for axis in "xyz")
 
 
 def test_an_own_loop_in_a_plane_has_the_command_that_begins_it() -> None:

@@ -127,15 +127,20 @@ def stated(
         instrument = _Instrument(meaning, end, place.target, place.station)
         looking.append(instrument.entry())
         fits[instrument.name] = meaning.fit or place.mounted
-        if not still:
-            at = place.at[: machine.dimension]
-            parameters |= instrument.parameters(place.mounted, at)
+        mounted, at = place.mounted, place.at[: 0 if still else machine.dimension]
+        if still and mounted.anchor is not None:
+            # The target is held where the body is, so that the anchor is so much nearer.
+            moved = mounted.anchor - understood.bodies.rotations[0] @ place.at
+            mounted = replace(mounted, anchor=moved)
+        if not still or mounted.anchor is not None:
+            parameters |= instrument.parameters(mounted, at)
         columns = instrument.readings()
         seen.append((meaning, tuple(columns)))
         label = f" ({meaning.seen.station})" if meaning.seen.station else ""
-        stands.append(
-            f"{', '.join(columns)}: target {place.target}, station {place.station}{label}"
-        )
+        where = f"station {place.station}{label}"
+        if mounted.anchor is not None:
+            where = f"anchor {instrument.name}"
+        stands.append(f"{', '.join(columns)}: target {place.target}, {where}")
         readings |= columns
         instrument.noise(columns, noise, guesses)
     point_of_robot = bool(robot.point) and [m.seen.kind for m in understood.seen] == ["point"]
