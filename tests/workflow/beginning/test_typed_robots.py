@@ -14,6 +14,7 @@ from analyses.machines import LINEAR_DELTA
 from loopcal.cli.run import main
 from loopcal.estimation.mounted import bodies_of
 from loopcal.mechanisms.frame import ChainFrame
+from loopcal.mechanisms.instruments.length import draw_wire
 from loopcal.mechanisms.parallel.delta import linear_delta
 from loopcal.mechanisms.planar import motoman_ma1400
 from tests.refusals import refused
@@ -162,15 +163,12 @@ def test_a_parallel_machine(tmp_path: Path, kind: str, columns: tuple[str, ...])
 
 def test_wires_of_a_platform_that_never_turns_begin_at_their_anchors() -> None:
     """Its targets are held on it; anchors and zeros of wires are begun where readings put them."""
-    wires = [lc.draw_wire(f"w{i}", anchor=f"a_w{i}", target=f"t{i}") for i in (1, 2, 3)]
+    wires = [draw_wire(f"w{i}", anchor=f"a_w{i}", target=f"t{i}") for i in (1, 2, 3)]
     made = lc.assemble(linear_delta(), wires)
     anchors = np.array([[0.9, 0.1, 1.0], [-0.7, 0.8, 1.1], [-0.5, -0.9, 0.9]])
-    truth = {
-        f"a_w{i}_{axis}": v
-        for i, at in enumerate(anchors, 1)
-        for axis, v in zip("xyz", at, strict=True)
-    }
-    truth |= {f"w{i}_offset": 0.1 * i for i in (1, 2, 3)}
+    truth = {f"w{i}_offset": 0.1 * i for i in (1, 2, 3)}
+    for i, at in enumerate(anchors, 1):
+        truth |= dict(zip([f"a_w{i}_{axis}" for axis in "xyz"], at, strict=True))
     driven = lc.random_poses(LINEAR_DELTA, 60, seed=1)
     noise = lc.Noise({"slide_*": 1e-5, "w*": 5e-5, "platform_*": math.inf})
     read = lc.simulate(made, driven, noise=noise, seed=2, truth=truth).dataset.readings
