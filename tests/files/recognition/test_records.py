@@ -136,5 +136,5 @@ def test_the_number_of_a_position_is_none_of_its_turns() -> None:
     made = table("".join(rows))
     assert made is not None
     assert made.names == ("X", "W", "P", "R", "pose")
-    np.testing.assert_array_equal(made.numbers(2, range(4)), (20.0, 21.0, 22.0, 23.0))
+    np.testing.assert_array_equal(made.numbers(2, np.arange(4)), (20.0, 21.0, 22.0, 23.0))
     assert made.ids(4) == ("0", "1", "2", "3")

@@ -198,7 +198,11 @@ def trajectory_by_time(folder: Path) -> None:
 
 def squares_of_charuco(folder: Path) -> None:
     """Keys as OpenCV's classes have them."""
-    stated = {"squaresX": COLUMNS + 1, "squaresY": ROWS + 1, "squareLength": SQUARE}
+    stated: dict[str, object] = {
+        "squaresX": COLUMNS + 1,
+        "squaresY": ROWS + 1,
+        "squareLength": SQUARE,
+    }
     stated |= {"markerLength": 0.7 * SQUARE, "dictionary": "DICT_5X5_100"}
     (folder / "board.json").write_text(json.dumps(stated), encoding="utf-8")
     corners(folder, "{}", "frame,charuco_id,x,y")
