@@ -104,3 +104,16 @@ def test_targets_of_industrial_calibration_and_robot_cal_tools(tmp_path: Path, t
     (board,) = read_boards(tmp_path / "target.yaml").values()
     assert len(board.points) == 12
     assert board.points["11"] == pytest.approx((0.04, 0.06, 0.0))
+
+
+def test_keys_are_words_however_they_are_joined(tmp_path: Path) -> None:
+    path = tmp_path / "board.json"
+    text = '{"squaresX": 4, "squares_y": 3, "squareLength": 0.02'
+    path.write_text(f'{text}, "markerLength": 0.014, "dictionary": "DICT_4X4_50"}}', "utf-8")
+    (board,) = read_boards(path).values()
+    assert board.pattern is not None
+    assert (board.pattern.kind, len(board.points)) == ("charuco", 6)
+    path.write_text(f"{text}}}", "utf-8")  # a board of squares, whose inner corners are seen
+    (board,) = read_boards(path).values()
+    assert board.pattern is not None
+    assert (board.pattern.kind, len(board.points)) == ("checkerboard", 6)

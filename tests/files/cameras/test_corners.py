@@ -131,3 +131,32 @@ def test_faults_are_named_with_row_and_column(
 def test_json_without_tags_is_refused(tmp_path: Path) -> None:
     with refused("missing-key", "tag_id"):
         read_corners(written(tmp_path, '{"a": [1, 2]}', "tags.json"))
+
+
+@pytest.mark.parametrize("mark", ["-1,-1", "0,0", "nan,nan", ","])
+def test_corners_that_a_detector_marks_are_not_seen(mark: str, tmp_path: Path) -> None:
+    text = f"image,id,px,py\na.png,0,10,20\na.png,1,{mark}\n"
+    assert read_corners(written(tmp_path, text)).point == ("0",)
+
+
+def test_a_table_that_does_not_name_its_images_is_refused_with_its_columns(tmp_path: Path) -> None:
+    text = "which,id,px,py\na,0,10,20\nb,0,11,21\n"
+    with refused("missing-column", "image", "which"):
+        read_corners(written(tmp_path, text))
+    corners = read_corners(written(tmp_path, text.replace("which", "timestamp [ns]")))
+    assert corners.image == ("a", "b")
+
+
+def test_pixels_of_an_image_in_json(tmp_path: Path) -> None:
+    text = '{"image": "left/7.png", "ids": [[3], [5], [6]], "corners": [[[1, 2]], [[3, 4]], null]}'
+    with refused("missing-key"):
+        read_corners(written(tmp_path, text, "7.json"))
+    corners = read_corners(written(tmp_path, text.replace("null", "[[-1, -1]]"), "7.json"))
+    assert (corners.image, corners.camera) == (("7", "7"), ("left", "left"))
+    assert corners.point == ("3", "5")
+    text = '[{"image": "a", "corners": [{"id": 9, "x": 1.5, "y": 2.5}]}]'
+    corners = read_corners(written(tmp_path, text, "a.json"))
+    assert (corners.image, corners.point, corners.v[0]) == (("a",), ("9",), 2.5)
+    text = '{"image_points": [[[1, 2], [3, 4]], [[5, 6], [7, null]]]}'
+    corners = read_corners(written(tmp_path, text, "b.json"))
+    assert (corners.image, corners.point) == (("0", "0", "1"), ("0", "1", "0"))

@@ -150,5 +150,41 @@ def test_matrices_of_opencv(tmp_path: Path) -> None:
 def test_rotations_and_translations_side_by_side(tmp_path: Path) -> None:
     lists = {"R_gripper2base": [TURNED.tolist()] * 3, "t_gripper2base": [[1.0, 2.0, 3.0]] * 3}
     places = read_places(written(tmp_path, json.dumps(lists), "robot.json"))
-    assert places.name == ("0", "1", "2")
+    assert places.counted
+    assert places.name == ("1", "2", "3")
     np.testing.assert_allclose(places.T[2, :3], np.c_[TURNED, (1, 2, 3)], atol=1e-12)
+
+
+def test_samples_of_moveit(tmp_path: Path) -> None:
+    def rows(x: float) -> str:
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = TURNED, (x, 2.0, 3.0)
+        return str(T.tolist())
+
+    text = "".join(
+        f"- effector_wrt_world: {rows(i)}\n  object_wrt_sensor: {rows(10 + i)}\n" for i in range(3)
+    )
+    samples = read_samples(written(tmp_path, text))
+    np.testing.assert_allclose(samples.robot[:, 0, 3], (0, 1, 2))
+    np.testing.assert_allclose(samples.tracking[:, 0, 3], (10, 11, 12))
+    assert not samples.turned_around
+
+
+def test_a_hand_with_other_turns_does_not_turn_about_z_alone(tmp_path: Path) -> None:
+    text = "pose,x_mm,y_mm,z_mm,p,r\n1,10,20,30,4,5\n2,11,20,30,5,6\n"
+    with refused("missing-column"):
+        read_places(written(tmp_path, text, "poses.csv"))
+
+
+def test_xml_of_opencv_declares_nothing(tmp_path: Path) -> None:
+    matrix = "<T><rows>3</rows><cols>4</cols><data>1 0 0 7 0 1 0 8 0 0 1 9</data></T>"
+    text = f"<?xml version='1.0'?><opencv_storage>{matrix}</opencv_storage>"
+    places = read_places(written(tmp_path, text, "pose.xml"))
+    np.testing.assert_allclose(places.T[0, :3, 3], (7, 8, 9))
+    declared = text.replace("?><", '?><!DOCTYPE x [<!ENTITY a "b">]><')
+    with refused("missing-key", "pose"):
+        read_places(written(tmp_path, declared.replace("opencv_storage", "x"), "other.xml"))
+    with refused("invalid-syntax", "document type"):
+        read_places(written(tmp_path, declared, "declared.xml"))
+    with refused("invalid-syntax"):
+        read_places(written(tmp_path, text[:-5], "cut.xml"))

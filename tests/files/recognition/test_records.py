@@ -120,3 +120,21 @@ def test_a_bracket_begins_a_list_of_its_own() -> None:
     assert np.allclose(numbers(made, 1), [a for a, _, _ in VALUES])
     assert made.names[1].startswith("_b")
     assert made.names[3] == "_c"
+
+
+def test_what_an_item_is_called_is_no_number() -> None:
+    names = [f"rgb/{9 - i:03}.png" for i in range(4)]
+    rows = (f'{{"image": "{name}", "q": [{i}.5, 2, 3]}}' for i, name in enumerate(names))
+    made = table(f"[{', '.join(rows)}]")
+    assert made is not None
+    assert made.names == ("q x", "q y", "q z", "pose")
+    assert made.ids(3) == tuple(names)
+
+
+def test_the_number_of_a_position_is_none_of_its_turns() -> None:
+    rows = (f"P[{i}]{{ X = {i}.5 mm, W = 1{i}.0, P = 2{i}.0, R = 3.0 }};\n" for i in range(4))
+    made = table("".join(rows))
+    assert made is not None
+    assert made.names == ("X", "W", "P", "R", "pose")
+    np.testing.assert_array_equal(made.numbers(2, np.arange(4)), (20.0, 21.0, 22.0, 23.0))
+    assert made.ids(4) == ("0", "1", "2", "3")

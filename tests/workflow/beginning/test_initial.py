@@ -95,6 +95,20 @@ def test_split_files_are_joined_by_their_ids(tmp_path: Path, arm: Any) -> None:
     assert_gives_the_noise_back(tmp_path / "out")
 
 
+def test_split_files_are_joined_by_names_beside_their_numbers(tmp_path: Path, arm: Any) -> None:
+    joints, points = arm
+    names = [f"{'abc'[i % 3]}{i // 3}" for i in range(len(joints))]
+    order = np.random.default_rng(0).permutation(len(joints))
+    a = table(tmp_path / "program.csv", {"Target name": names, **of(joints, NAMES)})
+    shots = np.arange(1.0, 1.0 + len(joints))
+    seen = {"Shot": shots, "Target name": [names[i] for i in order]}
+    b = table(tmp_path / "measured.csv", {**seen, **of(points[order], ["X", "Y", "Z"])})
+    made = lc.init(a, b, dh=dh(tmp_path), out=tmp_path / "out")
+    assert made.dataset.poses == tuple(names)
+    assert any("joined by the names they share" in words for words in made.remarks)
+    assert_gives_the_noise_back(tmp_path / "out")
+
+
 def test_units_that_nobody_states_are_those_of_the_machine(tmp_path: Path, arm: Any) -> None:
     joints, points = arm
     columns = {**of(np.degrees(joints), NAMES), **of(1e3 * points, ["x", "y", "z"])}

@@ -16,14 +16,13 @@ from pathlib import Path
 import numpy as np
 
 from loopcal.errors import InputError, listed, placed, unknown_name
-from loopcal.files.cameras.document import Part, read_document
+from loopcal.files.cameras.document import DOCUMENTS, Part, read_document
 from loopcal.files.recognition.headers import heading, words
 from loopcal.files.tables.readers import read_table
 from loopcal.mechanisms.cameras import printed
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.units import to_si, unit
 
-_DOCUMENTS = frozenset((".yaml", ".yml", ".json"))
 _NUMBERED = (
     *(f"{n}X{n}_{count}" for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)),
     *("ARUCO_ORIGINAL", "APRILTAG_16h5", "APRILTAG_25h9", "APRILTAG_36h10", "APRILTAG_36h11"),
@@ -43,7 +42,7 @@ def read_boards(path: str | Path) -> dict[str, Board]:
     Raises InputError for a kind that is not known, sizes that are not positive, and a table without
     the columns x and y, or with one point twice.
     """
-    if Path(path).suffix.lower() not in _DOCUMENTS:
+    if Path(path).suffix.lower() not in DOCUMENTS:
         return _of_table(path)
     document = read_document(path)
     described = document.get("board", "target", "target_finder", "target_definition") or document
@@ -67,6 +66,9 @@ def _board_of(part: Part) -> Board:
                 return printed.aprilgrid(*counts, size, spacing, _NAME)
             case "checkerboard" | "chessboard":
                 counts = _counts(part, "corner")
+                if part.get("columns", "cols") is None and "squares_x" in part:
+                    # Of a board of squares its inner corners are seen.
+                    counts = (counts[0] - 1, counts[1] - 1)
                 pitch = (
                     _size(part, *_SQUARE, "colSpacingMeters"),
                     _size(part, *_SQUARE, "rowSpacingMeters"),
@@ -84,6 +86,8 @@ def _board_of(part: Part) -> Board:
     raise unknown_name(f"there is no kind of board {kind!r}", kind, printed.KINDS, part.place)
 
 
+_ACROSS, _DOWN = ("board_width", "width"), ("board_height", "height")
+_MARKER = ("marker", "marker_m", "marker_size", "marker_length", "aruco_marker_dim")
 _SQUARE = ("square", "square_m", "square_size", "squareSize", "square_length", "chessboard_dim")
 
 
@@ -92,7 +96,7 @@ def _charuco(part: Part) -> Board:
     squares = [one.count for one in stated.parts()] if stated else list(_counts(part, "squares"))
     if len(squares) != 2:
         raise part.part("squares", "size").wrong("two counts, along x and along y")
-    marker = part.get("marker", "marker_m", "marker_size", "marker_length", "aruco_marker_dim")
+    marker = part.get(*_MARKER)
     legacy = part.get("legacy", "legacy_pattern")
     dictionary = part.get("dictionary")
     word = dictionary.text.upper().removeprefix("DICT_") if dictionary else ""
@@ -110,16 +114,18 @@ def _charuco(part: Part) -> Board:
 
 def _guessed(part: Part) -> str:
     """The kind of a board that states none, by its keys."""
-    if "chessboard_dim" in part or "squares" in part or "squares_x" in part:
-        return "charuco" if part.get("aruco_marker_dim", "marker", "marker_m") else "checkerboard"
+    if part.get("chessboard_dim", "squares", "squares_x"):
+        return "charuco" if part.get(*_MARKER) else "checkerboard"
     if "spacing" in part and "rows" in part:
         return "circles"
-    return "aprilgrid" if "tagCols" in part else ""
+    if "tagCols" in part:
+        return "aprilgrid"
+    return "checkerboard" if part.get(*_SQUARE) and part.get("columns", "cols", *_ACROSS) else ""
 
 
 def _counts(part: Part, what: str) -> tuple[int, int]:
-    columns = part.part("columns", "cols", f"{what}Cols", "targetCols", "squares_x", "width")
-    rows = part.part("rows", f"{what}Rows", "targetRows", "squares_y", "height")
+    columns = part.part("columns", "cols", f"{what}Cols", "targetCols", "squares_x", *_ACROSS)
+    rows = part.part("rows", f"{what}Rows", "targetRows", "squares_y", *_DOWN)
     return columns.count, rows.count
 
 

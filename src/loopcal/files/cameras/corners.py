@@ -1,9 +1,9 @@
-"""Corners as other programs write them: tables, long and wide, mrcal's corners.vnl, AprilTags.
+"""Corners as other programs write them: tables, long and wide, mrcal's corners.vnl, documents.
 
     long    a row per corner: image, camera, board, point (or tag and corner), u, v [px]
     wide    a row per image: u_0, v_0, u_1, v_1, ...; a blank cell is a corner not seen
     vnl     filename, x, y, level (mrcal): every corner of the board in its order, - if not seen
-    JSON    detections of AprilTags: tag_id and corners, in lists by image
+    JSON    and YAML: `corner_documents`
 
 A table may state `centre of first pixel = 0.5` in a comment above its header.
 """
@@ -11,7 +11,7 @@ A table may state `centre of first pixel = 0.5` in a comment above its header.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,8 +20,9 @@ import numpy as np
 
 from loopcal.arrays import Array
 from loopcal.errors import InputError, listed
+from loopcal.files.cameras.corner_documents import corners_in
 from loopcal.files.cameras.corner_table import CornerTable
-from loopcal.files.cameras.document import Part, read_document
+from loopcal.files.cameras.document import DOCUMENTS, Part, read_document
 from loopcal.files.recognition.headers import heading, own_words, words
 from loopcal.files.tables.raw import bytes_of
 from loopcal.files.tables.readers import read_table
@@ -50,8 +51,8 @@ def read_corners(path: str | Path) -> CornerTable:
     corners without names that are not equally many everywhere.
     """
     path = Path(path)
-    if path.suffix.lower() == ".json":
-        return _made(*_tags(read_document(path)), path.name)
+    if path.suffix.lower() in DOCUMENTS:
+        return _made(*_in_document(read_document(path)), path.name)
     stated = _FIRST_PIXEL.search(bytes_of(path, _HEAD).lower()) if path.is_file() else None
     first_pixel = float(stated[1]) if stated else 0.0
     corners = corners_of(read_table(path), own_words(path.parent))
@@ -107,8 +108,11 @@ def _stem(name: str, table: Table, spoken: Mapping[str, str]) -> str:
 
 
 def _column(meaning: str, stems: Sequence[str]) -> int | None:
-    """Where the column of a meaning stands, by the first of its words that is there."""
-    return next((stems.index(w) for w in words("corners", meaning) if w in stems), None)
+    """Where the column of a meaning stands, by the first of its words that is there; where none
+    names the image, its time does."""
+    spoken = words("corners", meaning)
+    spoken += words("columns", "time") if meaning == "image" else ()
+    return next((stems.index(w) for w in spoken if w in stems), None)
 
 
 def _long(table: Table, stems: Sequence[str]) -> CornerTable:
@@ -142,6 +146,13 @@ def _long(table: Table, stems: Sequence[str]) -> CornerTable:
         # mrcal marks a corner that is to be left out by a level of "-".
         u = np.where(np.isnan(level), np.nan, u)
     columns = (images, cameras, boards, points)
+    if _column("image", stems) is None and len({*zip(*columns, strict=True)}) < count:
+        raise InputError(
+            "no column is recognised that says in which image a corner was seen",
+            code="missing-column",
+            place=table.name,
+            remedy=f"name it image; the columns are {listed(table.names, 20)}",
+        )
     return _made(columns, u, v, values("sd"), level, table.name, table)
 
 
@@ -230,7 +241,9 @@ def _made(
     table: Table | None = None,
 ) -> CornerTable:
     """Corners that were seen; InputError for one that stands twice, and for a negative sd."""
-    seen = np.flatnonzero(np.isfinite(u) & np.isfinite(v))
+    # Detectors write (-1, -1) or (0, 0) for a corner that they do not see.
+    marked = (u == v) & (u <= 0.0)
+    seen = np.flatnonzero(np.isfinite(u) & np.isfinite(v) & ~marked)
     every = CornerTable(*columns, u, v, sd, level, name)
     if not seen.size:
         raise InputError(
@@ -263,14 +276,15 @@ def _made(
     return every.at(seen)
 
 
-def _tags(document: Part) -> tuple[_Columns, Array, Array, None, None]:
-    rows = list(_detections(document, "1", 4))
+def _in_document(document: Part) -> tuple[_Columns, Array, Array, None, None]:
+    rows = corners_in(document)
     if not rows:
         raise InputError(
-            "no detection of a tag is recognised",
+            "no corners are recognised",
             code="missing-key",
             place=document.place,
-            remedy='write for each image a list of {"tag_id": 0, "corners": [[u, v], ...]}',
+            remedy='write for each image {"image": "1.png", "ids": [0, 1], "corners": [[u, v], '
+            '...]}, or a list of {"tag_id": 0, "corners": [[u, v], ...]}',
         )
     split = [split_name(image) for image, *_ in rows]
     columns = (
@@ -281,32 +295,3 @@ def _tags(document: Part) -> tuple[_Columns, Array, Array, None, None]:
     )
     u, v = (np.array([row[k] for row in rows]) for k in (2, 3))
     return columns, u, v, None, None
-
-
-TAGS = ("tag_id", "id", "marker_id")
-"""How the number of a tag is named."""
-_IMAGE = ("image", "file", "filename", "frame", "image_id", "name", "timestamp")
-
-
-def _detections(part: Part, image: str, depth: int) -> Iterator[tuple[str, str, float, float]]:
-    """Image, point, u and v of all detections in lists and mappings by image."""
-    tag = part.get(*TAGS)
-    corners = part.get("corners", "p", "points")
-    if tag is not None and corners is not None:
-        for k, corner in enumerate(corners.parts()):
-            u, v = corner.numbers(2)
-            yield image, f"{tag.text}.{k}", u, v
-        return
-    stated = part.get(*_IMAGE)
-    image = stated.text if stated is not None and not isinstance(stated.data, list) else image
-    if not depth:
-        return
-    if isinstance(part.data, list):
-        for i, one in enumerate(part.parts()):
-            inner = image if "tag_id" in one or "id" in one or stated else str(i)
-            yield from _detections(one, inner, depth - 1)
-        return
-    for name, one in part.items():
-        if isinstance(one.data, dict | list):
-            several = name in ("detections", "tags", "markers", "images", "frames", "apriltags")
-            yield from _detections(one, image if several else name, depth - 1)

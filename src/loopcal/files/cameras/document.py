@@ -1,4 +1,4 @@
-"""YAML and JSON of others' programs as plain data, bounded, with a place for every complaint.
+"""YAML, JSON and OpenCV's XML of others' programs as plain data, bounded, every complaint placed.
 
 Of YAML only what calibration files use is read: mappings, lists and scalars of one document. Tags
 are passed over, nothing is constructed from them, and aliases are refused: with them a file of a
@@ -19,8 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.errors import InputError, listed, short
+from loopcal.files.cameras.storage_xml import is_storage, read_storage
 from loopcal.files.json_files import json_bytes, whole_number
+from loopcal.files.recognition.headers import heading
+from loopcal.units import unit
 
+DOCUMENTS = frozenset((".yaml", ".yml", ".json", ".xml"))
+"""Endings of the files that are read here."""
 MOST_BYTES, MOST_VALUES, DEEPEST = 1_000_000, 100_000, 40
 """Of YAML: bytes, values, and values within values. JSON is bounded as that of loopcal."""
 _REMEDY = "name the file with the camera, board, corners or poses alone"
@@ -37,12 +42,20 @@ class Part:
     place: str
 
     def __contains__(self, name: str) -> bool:
-        return isinstance(self.data, dict) and name in self.data
+        return self._key(name) is not None
 
     def get(self, *names: str) -> Part | None:
-        """The value of the first key of these that is there."""
-        name = next((n for n in names if n in self), None)
+        """The value of the first key of these that is there; `squaresX` is `squares_x` too."""
+        name = next((key for n in names if (key := self._key(n)) is not None), None)
         return None if name is None else Part(self.data[name], f"{self.place}: {name}")
+
+    def _key(self, name: str) -> str | None:
+        """The key that is meant by a name: of words, however joined, of letters as they stand."""
+        if not isinstance(self.data, dict):
+            return None
+        if name in self.data or len(name) < _WORD:
+            return name if name in self.data else None
+        return next((key for key in self.data if _joined(key) == _joined(name)), None)
 
     def part(self, *names: str) -> Part:
         """As `get`. Raises InputError where none of the keys is there."""
@@ -144,8 +157,18 @@ class Part:
         )
 
 
-def read_document(path: str | Path) -> Part:
-    """The first document of a YAML file, or that of a JSON file, by its content.
+_WORD = 3
+"""Letters of a word at least: R and r differ."""
+
+
+def _joined(name: Any) -> str:
+    return str(name).lower().replace("_", "").replace("-", "").replace(" ", "")
+
+
+def read_document(path: str | Path, *, every: bool = False) -> Part:
+    """The first document of a YAML file, or that of a JSON or XML file, by its content.
+
+    every: whether several documents of YAML are a list, as a program that prints messages has them.
 
     Raises InputError for what is neither, for YAML larger than 1 MB or with more than 100,000
     values, an alias or one key twice, for JSON beyond the bounds of `json_bytes`, and for values
@@ -167,7 +190,13 @@ def read_document(path: str | Path) -> Part:
             return Part(data, name)
     if len(content) > MOST_BYTES:
         raise _too_large(name, f"is larger than {MOST_BYTES // 1_000_000} MB")
-    return Part(_yaml(text, name), name)
+    if is_storage(text):
+        try:
+            return Part(read_storage(text, MOST_VALUES, DEEPEST), name)
+        except ValueError as error:
+            raise _syntax(name, str(error)) from None
+    documents = [one for one in _yaml(text, name, every=every) if one not in (None, "")]
+    return Part(documents if len(documents) > 1 else next(iter(documents), None), name)
 
 
 def _check_depth(data: Any, name: str, depth: int = 0) -> None:
@@ -178,8 +207,8 @@ def _check_depth(data: Any, name: str, depth: int = 0) -> None:
             _check_depth(value, name, depth + 1)
 
 
-def _yaml(text: str, name: str) -> Any:
-    """The first document, made of the events of its parser as they come."""
+def _yaml(text: str, name: str, *, every: bool) -> list[Any]:
+    """The first document, or every one, made of the events of its parser as they come."""
     import yaml
 
     # What is open: lists, and mappings with the key whose value comes next.
@@ -197,7 +226,7 @@ def _yaml(text: str, name: str) -> Any:
             place = f"{name}, line {event.start_mark.line + 1}"
             if isinstance(event, yaml.AliasEvent):
                 raise _syntax(place, "an alias stands there, which is not read")
-            if isinstance(event, yaml.DocumentEndEvent):
+            if isinstance(event, yaml.DocumentEndEvent) and not every:
                 break
             if isinstance(event, yaml.CollectionEndEvent):
                 opened.pop()
@@ -224,7 +253,8 @@ def _yaml(text: str, name: str) -> Any:
         place = f"{name}, line {mark.line + 1}, column {mark.column + 1}" if mark else name
         why = str(getattr(error, "problem", None) or "a character that YAML does not allow")
         raise _syntax(place, why) from None
-    return next(iter(opened[0]), None)
+    made: list[Any] = opened[0]  # type: ignore[assignment]
+    return made
 
 
 def _syntax(place: str, why: str) -> InputError:
@@ -273,18 +303,35 @@ def transform(part: Part) -> NDArray[np.float64]:
         # The nearest rotation: decimals of a file leave it off by their rounding.
         whole[:3, :3] = Rotation.from_matrix(R).as_matrix()
         return whole
-    moved, turned = part.get(*_MOVED) or part, part.get(*_TURNED) or part
+    (moved, length), (turned, order) = _stated(part, _MOVED), _stated(part, _TURNED)
     T = np.eye(4)
-    T[:3, :3] = _rotation(turned, bare=turned is part)
+    T[:3, :3] = _rotation(turned, order, bare=turned is part)
     if moved is part or {*"xyz"} <= {name for name, _ in moved.items()}:
         T[:3, 3] = [moved.part(c).number for c in "xyz"]
     else:
         T[:3, 3] = moved.numbers(3)
+    T[:3, 3] *= unit(length or "m").factor
     return T
 
 
-def _rotation(part: Part, *, bare: bool) -> NDArray[np.float64]:
-    """R (3, 3) of a quaternion by names or in the order x, y, z, w, a rotation vector or a matrix.
+def _stated(part: Part, names: Sequence[str]) -> tuple[Part, str]:
+    """The value of a key with one of these names and what the key says besides, such as `t_mm` and
+    `q_wxyz`: the unit, or the order; the part and "" where there is none."""
+    if (plain := part.get(*names)) is not None:
+        return plain, ""
+    for key, one in part.items():
+        head = heading(key)
+        name, _, order = head.stem.rpartition("_")
+        if head.unit and head.stem in names and unit(head.unit).dimension == "length":
+            return one, head.unit
+        if sorted(order) == sorted("wxyz") and name in names:
+            return one, order
+    return part, ""
+
+
+def _rotation(part: Part, order: str, *, bare: bool) -> NDArray[np.float64]:
+    """R (3, 3) of a quaternion by names or in an order, x, y, z, w where none is stated, a rotation
+    vector or a matrix.
 
     bare: whether x, y, z of the part are those of its translation.
     """
@@ -297,7 +344,7 @@ def _rotation(part: Part, *, bare: bool) -> NDArray[np.float64]:
         if len(values) == 9:
             matrix = np.vstack([np.c_[np.reshape(values, (3, 3)), np.zeros(3)], np.eye(4)[3]])
             return transform(Part([*matrix.ravel().tolist()], part.place))[:3, :3]
-        q: Sequence[float] = values
+        q: Sequence[float] = [values[(order or "xyzw").index(c)] for c in "xyzw"]
     else:
         q = [part.part(f"q{c}", *([] if bare else [c])).number for c in "xyzw"]
     if not 1e-9 < float(np.linalg.norm(q)) < 1e9:
@@ -321,7 +368,7 @@ def is_transform(part: Part) -> bool:
     return (
         _is_vector(part)
         or ({"x", "y", "z"} <= {n for n, _ in part.items()} and "qw" in part)
-        or (part.get(*_MOVED) is not None and part.get(*_TURNED) is not None)
+        or all(_stated(part, names)[0] is not part for names in (_MOVED, _TURNED))
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,13 +16,17 @@ import numpy as np
 
 from loopcal.errors import InputError, listed
 from loopcal.files.cameras.boards import read_boards
+from loopcal.files.cameras.corner_documents import LISTS, has_tags
 from loopcal.files.cameras.corner_table import CornerTable
-from loopcal.files.cameras.corners import TAGS, is_corners, pixel_stem, read_corners
+from loopcal.files.cameras.corners import is_corners, pixel_stem, read_corners
+from loopcal.files.cameras.document import DOCUMENTS
 from loopcal.files.cameras.images import ENDINGS, detect
 from loopcal.files.cameras.intrinsics import read_intrinsics
 from loopcal.files.cameras.places import TABLES, lists_poses, read_places, read_samples
 from loopcal.files.cameras.several import each_named, together
 from loopcal.files.recognition.headers import heading, words
+from loopcal.files.recognition.records import FEWEST
+from loopcal.files.recognition.sources import sources_of
 from loopcal.files.tables.readers import column_labels
 from loopcal.files.tables.registry import reader_of
 from loopcal.mechanisms.cameras.board import Board
@@ -31,14 +35,19 @@ from loopcal.presentation.shown import with_unit
 
 _MADE = ("result.json", "project.toml")
 """Beside them stands what loopcal wrote."""
-_RECORDS = (".json", ".yaml", ".yml")
+_POINTS = frozenset((*words("corners", "point"), "id"))
 _IMAGES = frozenset(words("corners", "image"))
 _OF_A_LENS = ("wrong-shape", "invalid-value")
 """Codes of errors in what a file states of a lens."""
 _UNREAD = {"cameras.txt": "COLMAP", "camera.xml": "ViSP"}
 """Files of lenses that are not read, and whose they are."""
-_CLOSED = frozenset((".npy", ".npz", ".mat", ".pkl", ".pickle"))
-"""Endings of files that hold arrays of other programs, which are not read."""
+_OTHER = frozenset(
+    (
+        *("", ".urdf", ".xacro", ".srdf", ".stl", ".dae", ".obj", ".ply", ".toml", ".launch"),
+        *(".md", ".rst", ".html", ".pdf", ".svg", ".py", ".ipynb", ".m", ".cpp", ".h", ".sh"),
+    )
+)
+"""Endings of files beside readings that hold none."""
 _SAME = 1e-3
 """Two descriptions of a board agree within this share of its size: printed sizes are rounded."""
 _WORDS = re.compile(r"[^a-z]+")
@@ -74,8 +83,17 @@ def files_of(entries: Sequence[Any]) -> list[Path]:
 def tables_of(entries: Sequence[Any]) -> list[Any]:
     """The entries, a folder of text tables as these, one by one.
 
-    A text without columns, as a program prints it, is no table.
+    A text without columns, as a program prints it, is no table. Raises InputError for a folder
+    without tables, and for a board without corners.
     """
+    documents = [p for p in files_of(entries) if p.suffix.lower() in DOCUMENTS]
+    if board := next((path for path in documents if _reads(read_boards, path)), None):
+        raise InputError(
+            f"{board.name} describes a board, and no file holds corners of images",
+            code="no-data",
+            remedy="add the images, or a table with the columns image, camera, board, point, u_px, "
+            "v_px",
+        )
     opened: list[Any] = []
     for entry in entries:
         folder = isinstance(entry, str | Path) and Path(entry).is_dir()
@@ -83,7 +101,7 @@ def tables_of(entries: Sequence[Any]) -> list[Any]:
         tables = [p for p in texts if p.suffix.lower() != ".txt" or len(_header(p)) > 1]
         whole = folder and any(Path(entry).glob(reader_of(entry).in_folder or "*.parquet"))
         if folder and not tables and not whole:  # a file per pose
-            tables = [p for p in files_of([entry]) if p.suffix.lower() in _RECORDS]
+            tables = [p for p in files_of([entry]) if p.suffix.lower() in DOCUMENTS]
         if folder and not tables and not whole:
             raise InputError(
                 "this folder holds no table of readings",
@@ -96,7 +114,14 @@ def tables_of(entries: Sequence[Any]) -> list[Any]:
 
 
 _BEGIN = 10_000
-"""Characters of a JSON file after which it has named what it holds."""
+"""Characters of a YAML or JSON file after which it has named what it holds."""
+_LISTS = re.compile(rf"\b(?:{'|'.join(LISTS)})\b")
+_NO_CORNERS = ("missing-key", "invalid-syntax")
+"""Codes of errors of a document without corners."""
+_READINGS = 4
+"""Columns of a table of joints or poses at least: a SCARA has four."""
+_WIDEST = 60
+"""At most: a log of a controller has some dozens, an array of corners has more."""
 _OF_BOARD = 6
 """Columns of a table of a board's points at most: a table with joints has more."""
 
@@ -150,7 +175,7 @@ def lenses_of(entries: Sequence[Any]) -> dict[Path, dict[str, Intrinsics]]:
     """The lenses that files state, those in folders too, by the file."""
     lenses = {}
     for path in files_of(entries):
-        if path.suffix.lower() in _RECORDS:
+        if path.suffix.lower() in DOCUMENTS:
             with suppress(InputError):
                 lenses[path] = read_intrinsics(path)
     return lenses
@@ -162,10 +187,12 @@ def _kind(path: Path) -> str:
         return "image"
     if ending == ".vnl":
         return "corners"
-    if ending in (".yaml", ".yml", ".json"):
-        return "corners" if ending == ".json" and _shows_tags(path) else "document"
-    if ending not in TABLES or not path.is_file():
+    if ending in DOCUMENTS:
+        return "corners" if _shows_corners(path) else "document"
+    if not path.is_file() or ending in _OTHER:
         return ""
+    if ending not in TABLES:
+        return "poses" if _reads(read_places, path) or _has_readings(path) else ""
     names = _header(path)
     parts = [set(_WORDS.split(name.lower())) for name in names]
     stems = {"".join(_WORDS.split(heading(name).stem)) for name in names}
@@ -175,19 +202,25 @@ def _kind(path: Path) -> str:
     if pixels and is_corners(names):
         return "corners"
     few = len(names) <= _OF_BOARD
-    if few and ({"x", "y", "point"} <= stems or {"x", "y", "id"} <= stems):
+    if few and {"x", "y"} <= stems and not _POINTS.isdisjoint(stems):
         return "board"
     return "poses"
 
 
-def _shows_tags(path: Path) -> bool:
-    """Whether a file lists detections of tags, each with its number and its corners."""
+def _shows_corners(path: Path) -> bool:
+    """Whether a document lists pixels of corners, whatever else it holds."""
     try:
         with path.open(encoding="utf-8") as file:
             begin = file.read(_BEGIN)
     except (OSError, UnicodeDecodeError):
         return False
-    return '"corners"' in begin and any(f'"{name}"' in begin for name in TAGS)
+    if not _LISTS.search(begin):
+        return False
+    try:
+        read_corners(path)
+    except InputError as error:
+        return error.code not in _NO_CORNERS
+    return True
 
 
 def _header(path: Path) -> tuple[str, ...]:
@@ -218,25 +251,25 @@ def read_files(
         f"{path.name} states lenses as {_UNREAD[path.name]} does, which is not read. State them in "
         "a YAML file of OpenCV or ROS."
         for path in paths
-        if path.name in _UNREAD
+        if path.name in _UNREAD and not _reads(read_intrinsics, path)
     ]
     remarks += [
         f"{path.name} is not read. If it holds poses or corners, write it as CSV, YAML or JSON."
         for path in paths
-        if path.suffix.lower() in _CLOSED
+        if not kinds[path] and path.suffix.lower() not in _OTHER
     ]
     stated: dict[str, str] = {}
     # A list of points says more than counts and sizes: of two descriptions it comes first.
     for path, kind in sorted(kinds.items(), key=lambda one: one[1] == "document"):
         if kind == "board":
             _describe(path, read_boards(path), boards, stated, remarks)
-        elif kind == "corners":
-            tables.append((path, read_corners(path)))
-        elif kind == "document":
+        elif kind and path.suffix.lower() in DOCUMENTS:
             described: dict[str, Board] = {}
-            if _document(path, described, by_file, tables, remarks):
+            if _document(path, described, by_file, tables, remarks, corners=kind == "corners"):
                 poses.append(path)
             _describe(path, described, boards, stated, remarks)
+        elif kind == "corners":
+            tables.append((path, read_corners(path)))
         elif kind == "poses":
             poses.append(path)
     images = [path for path, kind in kinds.items() if kind == "image"]
@@ -321,8 +354,13 @@ def _document(
     lenses: dict[Path, Mapping[str, Intrinsics]],
     tables: list[tuple[Path, CornerTable]],
     remarks: list[str],
+    *,
+    corners: bool,
 ) -> bool:
-    """Take what a YAML or JSON file says; whether it holds poses instead."""
+    """Take what a YAML, JSON or XML file says; whether it holds poses, or joints, too.
+
+    corners: whether it holds corners. Poses of single tags beside them are none of the flange.
+    """
     taken, unusable = 0, list[str]()
     for read in (read_intrinsics, read_boards):
         try:
@@ -338,17 +376,31 @@ def _document(
                 remarks.append(words)
             elif read is read_intrinsics and error.code in _OF_A_LENS:
                 unusable.append(words)
+    if corners:
+        tables.append((path, read_corners(path)))
+        return not has_tags(tables[-1][1].point) and _reads(read_places, path)
     if taken:
         return lists_poses(path)  # as files of industrial_calibration do beside the lens
-    for probe in (read_samples, read_places):
-        try:
-            probe(path)
-        except InputError:
-            continue
+    if _reads(read_samples, path) or _reads(read_places, path) or _has_readings(path):
         return True
-    try:
-        tables.append((path, read_corners(path)))
-    except InputError:
+    if path.name not in _UNREAD:
         unread = f"{path.name}: no camera, board, pose or corner is recognised; it is not used"
         remarks += unusable or [unread]
     return False
+
+
+def _reads(read: Callable[[Path], object], path: Path) -> bool:
+    try:
+        read(path)
+    except InputError:
+        return False
+    return True
+
+
+def _has_readings(path: Path) -> bool:
+    """Whether a document repeats numbers by name, as the columns of a table of joints."""
+    try:
+        table = sources_of(path, 0)[0]
+    except InputError:
+        return False
+    return len(table) >= FEWEST and _READINGS <= len(table.fields) <= _WIDEST

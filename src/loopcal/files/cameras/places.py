@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -21,7 +22,13 @@ import numpy as np
 from loopcal.arrays import Array
 from loopcal.errors import InputError
 from loopcal.files.cameras.corners import split_name
-from loopcal.files.cameras.document import Part, is_transform, read_document, transform
+from loopcal.files.cameras.document import (
+    DOCUMENTS,
+    Part,
+    is_transform,
+    read_document,
+    transform,
+)
 from loopcal.files.recognition.fields import Field, Source
 from loopcal.files.recognition.joint_sets import unit_norm
 from loopcal.files.recognition.layouts import Seen, instruments, numbered
@@ -32,6 +39,10 @@ from loopcal.units import unit
 TABLES = (".csv", ".tsv", ".txt")
 _ABOUT_Z = ("rz", "yaw", "u", "c", "r", "theta")
 """Names of the angle of a hand that turns about z alone, as those of SCARA robots do."""
+_BESIDE_Z = frozenset(("w", "p", "a", "b", "rx", "ry", "roll", "pitch", "qx", "qy", "qz", "qw"))
+"""Names of other turns beside it: such a hand does not turn about z alone."""
+_POSE = re.compile(r"(?:.*_)?(?:p|pose|tcp|flange)_?\d")
+"""A column of a pose whose numbers have no names, as p[...] of Universal Robots."""
 _LISTED = 10_000
 """Files of poses that one file lists."""
 
@@ -77,21 +88,45 @@ def read_places(path: str | Path) -> PlaceTable:
     Raises InputError for a file without poses, and for quaternions and matrices that are none.
     """
     path = Path(path)
-    if path.suffix.lower() not in (".yaml", ".yml", ".json"):
+    if path.suffix.lower() not in DOCUMENTS:
         return _of_source(sources_of(path, 0)[0], path)
-    document = read_document(path)
+    document = read_document(path, every=True)
     if robot := _robot_poses(document):  # those of the marker may not stand beside them
         names = tuple(map(str, range(1, len(robot) + 1)))
         return PlaceTable(names, np.array(robot), path.name, counted=True)
     every = list(_of_document(document, path, "1"))
-    if not every:
+    if not every:  # numbers by name, as in the columns of a table
+        with suppress(InputError):
+            return _of_source(sources_of(path, 0)[0], path)
         raise InputError(
             "no pose is recognised in this file",
             code="missing-key",
             place=path.name,
             remedy="state x, y, z [m] and qx, qy, qz, qw of each pose",
         )
-    return PlaceTable(tuple(name for name, _ in every), np.array([T for _, T in every]), path.name)
+    counted = not any(name for name, _ in every)  # as the rows of a table without names
+    times = _times(document) if counted else []
+    otherwise = times if len(times) == len(every) else map(str, range(1, len(every) + 1))
+    names = tuple(name or other for (name, _), other in zip(every, otherwise, strict=True))
+    return PlaceTable(names, np.array([T for _, T in every]), path.name, counted=counted)
+
+
+def _times(document: Part) -> list[str]:
+    """When the items of a list were taken [s], as ROS and others state it; empty where not all
+    state it, or two state the same."""
+    if not isinstance(document.data, list):
+        return []
+    times = []
+    for one in document.parts():
+        stated = (one.get("header") or one).get("stamp", "timestamp", "time")
+        if stated is None or isinstance(stated.data, list):
+            return []
+        if isinstance(stated.data, dict):
+            ns = int(stated.part("nsecs", "nanosec").number)
+            times.append(f"{int(stated.part('secs', 'sec').number)}.{ns:09d}")
+        else:
+            times.append(stated.text)
+    return times if len({*times}) == len(times) else []
 
 
 def lists_poses(path: Path) -> bool:
@@ -119,9 +154,9 @@ def _of_document(part: Part, path: Path, name: str, depth: int = 4) -> Iterator[
     inner = listed.parts() if listed is not None and isinstance(listed.data, list) else None
     if inner is None and isinstance(part.data, list):
         inner = part.parts()
-    for i, one in enumerate(inner or ()):
+    for one in inner or ():
         image, pose = one.get(*_NAMES), one.get("pose", "transform")
-        label = split_name(Path(image.text).name)[0] if image else str(i)
+        label = split_name(Path(image.text).name)[0] if image else ""
         if pose is not None and not isinstance(pose.data, dict | list):
             # The path stands relative to the file that lists it.
             yield label, transform(read_document(path.parent / pose.text))
@@ -132,32 +167,40 @@ def _of_document(part: Part, path: Path, name: str, depth: int = 4) -> Iterator[
             yield from _of_document(one, path, key, depth - 1)
 
 
-_NAMES = ("image", "name", "image_name", "file", "filename", "img", "id")
+_NAMES = (
+    *("image", "name", "image_name", "file", "filename", "img", "id"),
+    *("file_path", "image_path", "image_file", "frame"),
+)
 """How the image of a pose is named beside it."""
 _SIDE = re.compile(r"(?P<turn>R|r|rot|rotations?|rvecs?)|t|T|trans|translations?|tvecs?")
 
 
 def _side_columns(part: Part) -> list[tuple[str, Array]]:
-    """Poses of two lists side by side, R_gripper2base and t_gripper2base: counted from 0."""
+    """Poses of two lists side by side, R_gripper2base and t_gripper2base, without names."""
     lists: dict[bool, list[list[Part]]] = {True: [], False: []}
     for key, one in part.items():
         kind = _SIDE.fullmatch(key.split("_")[0])
-        if kind and isinstance(one.data, list) and any(isinstance(x, list) for x in one.data):
+        if (
+            kind
+            and isinstance(one.data, list)
+            and any(isinstance(x, list | dict) for x in one.data)
+        ):
             lists[kind["turn"] is not None].append(one.parts())
     turned, moved = lists[True], lists[False]
     if not (len(turned) == len(moved) == 1 and len(turned[0]) == len(moved[0]) > 1):
         return []
     pairs = zip(turned[0], moved[0], strict=True)
-    return [
-        (str(i), transform(Part({"R": R.data, "t": t.data}, R.place)))
-        for i, (R, t) in enumerate(pairs)
-    ]
+    return [("", transform(Part({"R": R.data, "t": t.data}, R.place))) for R, t in pairs]
 
 
 def _of_source(source: Source, path: Path) -> PlaceTable:
     seen = next((s for s in instruments(source.fields) if s.kind == "pose"), None)
-    # Six numbers may be joints: only what shows that it turns is a pose.
-    arrays = (one for one in numbered(source.fields) if one.form in ("matrix", "quaternion"))
+    # Six numbers may be joints: only what shows that it turns, or is named so, is a pose.
+    arrays = (
+        one
+        for one in numbered(source.fields)
+        if one.form in ("matrix", "quaternion") or _POSE.match(one.position[0].stem)
+    )
     seen = seen or next(arrays, None) or _unnamed(source.fields)
     ways = _turned_about_z(source) if seen is None else _ways(seen, len(source))
     if not ways:
@@ -208,7 +251,7 @@ def _turned_about_z(source: Source) -> dict[str, Array]:
     """The same of a hand with one angle, which may count either way; {} where none is named."""
     by = {f.stem: f for f in source.fields}
     turn = next((by[name] for name in _ABOUT_Z if name in by), None)
-    if turn is None or not {*"xyz"} <= by.keys():
+    if turn is None or not {*"xyz"} <= by.keys() or not _BESIDE_Z.isdisjoint(by):
         return {}
     angle = unit(turn.unit or ("deg" if turn.span > 2.0 * np.pi else "rad")).factor * turn.values
     T = np.tile(np.eye(4), (len(source), 1, 1))
@@ -254,18 +297,43 @@ def row_names(source: Source) -> tuple[tuple[str, ...], bool]:
 
 def _robot_poses(document: Part, *also: str) -> list[Array]:
     """The poses of the robot in samples of either version; also: other names of their list."""
-    if (pairs := document.get("samples")) is not None:
-        return [transform(one.part("robot")) for one in pairs.parts()]
+    if (pairs := _pairs(document)) is not None:
+        return [transform(_of(one, _ROBOT, "robot")) for one in pairs.parts()]
     hand = document.get("hand_world_samples", *also)
     return [] if hand is None else [transform(T) for T in (hand.get("transforms") or hand).parts()]
 
 
+def _pairs(document: Part) -> Part | None:
+    """The list of samples with the poses of robot and marker in each: `samples` of easy_handeye, or
+    the document, whose keys say whose they are, as MoveIt has it; None where there is none."""
+    if (samples := document.get("samples")) is not None:
+        return samples
+    first = document.parts()[0] if isinstance(document.data, list) and document.data else document
+    both = all(_whose(first, one, other) for one, other in (_SIDES, _SIDES[::-1]))
+    return document if first is not document and both else None
+
+
+def _whose(part: Part, one: re.Pattern[str], other: re.Pattern[str]) -> Part | None:
+    """The pose whose key has the words of one, and none of the other."""
+    poses = ((key, place) for key, place in part.items() if is_transform(place))
+    keyed = (place for key, place in poses if one.search(key) and not other.search(key))
+    return next(keyed, None)
+
+
+def _of(part: Part, whose: re.Pattern[str], *names: str) -> Part:
+    """The pose of robot or marker in a sample, by these names or by the words of its key."""
+    other = _SIDES[1 - _SIDES.index(whose)]
+    return part.get(*names) or _whose(part, whose, other) or part.part(*names)
+
+
 def read_samples(path: str | Path) -> Samples:
-    """Hand-eye samples of easy_handeye, of ROS 1 or 2. Raises InputError for another file."""
+    """Hand-eye samples of easy_handeye, of ROS 1 or 2, or of MoveIt. Raises InputError for another
+    file."""
     document = read_document(path)
-    robot, pairs = _robot_poses(document, "robot"), document.get("samples")
+    pairs, robot = _pairs(document), _robot_poses(document, "robot")
     if pairs is not None:
-        tracking = [transform(one.part("tracking", "optical")) for one in pairs.parts()]
+        marked = (_of(one, _MARKER, "tracking", "optical") for one in pairs.parts())
+        tracking = [transform(one) for one in marked]
     else:
         marker = document.part("camera_marker_samples", "tracking")
         tracking = [transform(T) for T in (marker.get("transforms") or marker).parts()]
@@ -281,7 +349,7 @@ def read_samples(path: str | Path) -> Samples:
         np.array(tracking),
         document.place,
         _on_hand(document),
-        turned_around=True,
+        turned_around=pairs is not document,
     )
 
 
@@ -296,11 +364,12 @@ def _on_hand(document: Part) -> bool | None:
 _ROBOT, _MARKER = (
     re.compile(rf"(?:^|[^a-z])(?:{words})", re.IGNORECASE)
     for words in (
-        "rob|arm|flange|gripper|hand|tool|tcp|eef?|effector|base|rpe|fpe",
+        "rob|arm|flange|gripper|hand|tool|tcp|eef?|end.?eff|effector|base|rpe|fpe",
         "marker|target|tag|board|object|pattern|track|camera|cam|optical|aruco|april|charuco|chess"
         "|cpo",
     )
 )
+_SIDES = (_ROBOT, _MARKER)
 _COLUMN = re.compile(
     r"(?:(.*?)[^a-z0-9]+)?(?:(?:t|q|r|w|rot|quat|pos)[^a-z0-9]*)?[xyzw]", re.IGNORECASE
 )

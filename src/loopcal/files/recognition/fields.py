@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -95,7 +95,8 @@ class Source:
     file that was asked for; ids: one per row, None where no column holds them; pose: that column's
     name or number; fields: its columns of numbers; names: its header; label: how messages call it
     without a path; remark: what was decided in reading it; recording: by time, of which it has the
-    poses at rest; left_out: poses that take no part, as the user stated.
+    poses at rest; left_out: poses that take no part, as the user stated; texts: further columns of
+    names by header, which differ in all rows.
     """
 
     path: Path | None
@@ -108,6 +109,7 @@ class Source:
     remark: str = ""
     recording: Recording | None = None
     left_out: tuple[str, ...] = ()
+    texts: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def name(self) -> str:

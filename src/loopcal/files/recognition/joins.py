@@ -48,9 +48,9 @@ class Fields:
 
 
 def joined(sources: Sequence[Source]) -> Fields:
-    """The tables side by side: by pose ids where all have them, or the numbers in these, else by
-    time where all state it, else by row order. Tables with the same columns stand one below the
-    other.
+    """The tables side by side: by pose ids where all have them, or other names that they share, or
+    the numbers in these, else by time where all state it, else by row order. Tables with the same
+    columns stand one below the other.
 
     Raises InputError where none of this is possible, or where tables have rows of unlike poses.
     """
@@ -67,6 +67,8 @@ def joined(sources: Sequence[Source]) -> Fields:
         common = [i for i in first.ids or () if all(i in ids for ids in others)]
         if common:
             return _by_ids(sources, common)
+    if alike := _by_other_names(sources):
+        return alike
     if numbered := in_numbers(sources):
         return _by_ids(*numbered, by="the numbers in their ")
     timed = _by_time(sources)
@@ -138,6 +140,29 @@ def _named_after(sources: Sequence[Source]) -> Sequence[Source]:
             source = Source(None, None, rows, names, "pose", (), source.name, remark)
         made.append(source)
     return made
+
+
+def _by_other_names(sources: Sequence[Source]) -> Fields | None:
+    """The rows of two tables that have the same names in columns that need not be those of ids;
+    None where less than half of a table is in both."""
+    if len(sources) != 2:
+        return None
+    named = [
+        [*([("pose ids", s.ids)] if s.ids else []), *((repr(k), v) for k, v in s.texts.items())]
+        for s in sources
+    ]
+    for first, names in named[0]:
+        for other, others in named[1]:
+            at = {name: i for i, name in enumerate(others)}
+            rows = np.array([i for i, name in enumerate(names) if name in at], dtype=np.intp)
+            if 2 * len(rows) <= min(map(len, sources)) or len({*others}) < len(others):
+                continue
+            there = np.array([at[names[i]] for i in rows], dtype=np.intp)
+            by = first if first == other else f"{first} and {other}"
+            remark = f"the files are joined by the names they share, {by}: {len(rows)} rows"
+            one = replace(sources[0], ids=tuple(names))
+            return paired((one, sources[1]), (rows, there), remark)
+    return None
 
 
 def in_numbers(sources: Sequence[Source]) -> tuple[list[Source], list[str]] | None:

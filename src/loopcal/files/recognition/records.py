@@ -50,6 +50,11 @@ _NAMES = re.compile(rf"\[({_WORD}(?:,{_WORD}){{1,60}})\]")
 """A list of words, such as the names of joints in a message of ROS."""
 _BLOCK = re.compile(r":[ \t]{0,9}((?:\n[ \t]{0,20}-[ \t][^\n:]{1,80}(?=\n|\Z))+)")
 """A list of YAML with an item per line."""
+_LABEL = re.compile(
+    r"(?<!\w)['\"]?(?:image|img|image_name|image_file|image_path|file|filename|file_path|frame|pose"
+    r"|name|id)['\"]?[ \t]{0,9}:[ \t]{0,9}['\"]?(?P<label>[\w./\\-]{1,200})['\"]?(?=[,\n}]|\Z)"
+)
+"""What an item of JSON or YAML is called: a word, or the name of an image."""
 _TAG = re.compile(
     r"<(?P<element>[A-Za-z]\w{0,40})(?P<rest>(?:\s{1,9}[A-Za-z][\w:]{0,40}=\"[^\"<>]{0,200}\"){2,60})"
 )
@@ -92,7 +97,12 @@ def records_table(text: Text) -> tuple[Table, str] | None:
     """A row each time that the form repeats, and what to say of it; None without such a form."""
     content = _BLOCK.sub(_in_brackets, text.data.decode("utf-8"))
     content = _told_apart(_PAIR.sub(r"\1=", content))
-    groups = _groups(_runs(content))
+    labels = [match["label"].strip() for match in _LABEL.finditer(content)]
+    content = _LABEL.sub(
+        lambda match: " " * len(match[0]), content
+    )  # digits in them are no numbers
+    runs, indices = _apart_from_indices(_runs(content), content)
+    groups = _groups(runs)
     if not groups:
         return None
     count = len(next(iter(groups.values())))
@@ -100,7 +110,8 @@ def records_table(text: Text) -> tuple[Table, str] | None:
     named = words[0] if len(words) == count == words.count(words[0]) else []
     arrays = {key: a for name, runs in groups.items() for key, a in _arrays(name, runs).items()}
     table = by_columns(arrays, text.file, text.sha256, count, tuple(named))
-    ids = _ids(content, groups)
+    stated = [some for some in (labels, indices) if len(some) == len({*some}) == count]
+    ids = stated[0] if stated else _ids(content, groups)
     if ids and "pose" not in table.names:
         cells = {**table.columns, len(table.names): ids}
         table = replace(table, names=(*table.names, "pose"), columns=cells)
@@ -108,6 +119,15 @@ def records_table(text: Text) -> tuple[Table, str] | None:
         f"{text.name} is no table, but repeats one form {count} times: its numbers "
         f"{', '.join(name or 'without a name' for name in groups)} are the columns."
     )
+
+
+def _apart_from_indices(runs: Sequence[_Run], content: str) -> tuple[list[_Run], list[str]]:
+    """The runs without the number of each item, as in P[1], where the word in front of it has
+    readings as well; and these numbers."""
+    at = {run.at: m[1] for run in runs if run.enclosed and (m := _INDEX.match(content, run.at - 2))}
+    both = {run.name for run in runs if run.at in at} & {r.name for r in runs if r.at not in at}
+    aside = {run.at: at[run.at] for run in runs if run.at in at and run.name in both}
+    return [run for run in runs if run.at not in aside], [*aside.values()]
 
 
 def _ids(content: str, groups: Mapping[str, Sequence[_Run]]) -> list[str]:

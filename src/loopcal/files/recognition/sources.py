@@ -319,7 +319,9 @@ def _of_table(
     # what is not one table below its header is written into a file of its own
     header = tuple(names)
     place = None if len(every) < count or titled or lists or blanks else path
-    used = {f.position for f in fields}
+    # By names that differ in all rows other tables may be joined.
+    differing = [i for i in texts if len({*labels[i]} - {""}) == len(every)]
+    used = {f.position for f in fields} | {*differing}
     idle = [names[i] for i in texts if i not in used and _stem(headings, i) not in _TARGETS]
     if idle := [name for name in idle if name and not _NAMED.fullmatch(stem(name))]:
         remark = (
@@ -336,6 +338,7 @@ def _of_table(
                 "12°30'45\"; if it is no reading, give the column another name",
             )
     source = Source(place, sheet, fields, ids, named, header, path.name, remark, left_out=left_out)
+    source = replace(source, texts={names[i]: labels[i] for i in differing})
     return _with_ids(source, {_stem(headings, i): labels[i] for i in texts if i not in values})
 
 

@@ -32,6 +32,8 @@ from loopcal.workflow.beginning.misfits import LeftOut
 from loopcal.workflow.beginning.searching import CLEARLY, NOTHING, PLAUSIBLE
 
 USUAL_LENS = "brown5"
+_FEWEST = 3
+"""Images that have a pose at least: fewer calibrate nothing."""
 CENTRAL = 0.45
 """A principal point is no nearer to the edge than this share of how far corners reach. Chosen:
 half would be the middle of an image that corners fill."""
@@ -285,9 +287,11 @@ def _corners(table: CornerTable, boards: Sequence[Board], poses: tuple[str, ...]
     poses = poses or tuple(dict.fromkeys(table.image))
     where = {pose: i for i, pose in enumerate(poses)}
     rows = [i for i, image in enumerate(table.image) if image in where]
-    if not rows:
+    named = {table.image[i] for i in rows}
+    if len(named) < min(_FEWEST, len(table.images)):
+        few = f"only {len(named)} of {len(table.images)} images have the names of poses"
         raise InputError(
-            "no image has the name of a pose",
+            few if named else "no image has the name of a pose",
             code="mismatched-poses",
             remedy=f"name images as poses: {listed(list(poses), 3)}; the images are "
             f"{listed(list(table.images), 3)}",

@@ -123,14 +123,14 @@ def hand_of(
             counted=stated.counted,
             measured=stated.measured,
         )
-    remarks: tuple[str, ...] = ()
+    words = "no file states poses of a robot, so the cameras alone are calibrated"
     if poses:
         names = listed([path.name for path in poses], 3)
-        remarks = (
+        words = (
             f"{names} states no pose of a flange, and no robot is described (--urdf or --dh), so "
-            "the cameras alone are calibrated",
+            "the cameras alone are calibrated"
         )
-    return Hand((), {"type": "free-body", "read": False}, {}, None, {}, remarks)
+    return Hand((), {"type": "free-body", "read": False}, {}, None, {}, (words,))
 
 
 def states_flange(files: Files) -> bool:
