@@ -53,7 +53,9 @@ class Trial:
     @classmethod
     def of(cls, corners: Corners, scene: Scene) -> Trial:
         """Adjusted, with its lenses."""
-        names = [n for n in EVERY if all(n in lens.values for lens in scene.intrinsics)]
+        # More terms would stand in for pixels that are not square.
+        every = ("aspect", *EVERY)
+        names = [n for n in every if all(n in lens.values for lens in scene.intrinsics)]
         first = adjusted(corners, scene, names, iterations=20)
         last = adjusted(corners, first.scene, names, iterations=20, loss=REDESCENDING)
         return cls(corners, last.scene, last.residuals)
