@@ -37,7 +37,7 @@ from loopcal.mechanisms.mechanism import PIXELS
 _ORDERS = np.arange(1.0, 4.0)
 _SIZES = np.tile(_ORDERS**-2 / (_ORDERS**-2).sum(), 2)
 """s of the cosines and of the sines."""
-_ROUNDS = 12
+_ROUNDS = 8
 """Chosen, not derived: sds then change by less than a hundredth."""
 _COUNTED = 1.0
 _LEAST = 1e-6
