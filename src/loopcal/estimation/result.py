@@ -165,8 +165,9 @@ class FitResult:
 
     @cached_property
     def pose_part(self) -> Array | None:
-        """(n, n) what `covariance` gains by errors that stated poses share with their neighbours.
-        Other poses of the same robot share them too: predictions leave it out. None without any."""
+        """(n, n) what `covariance` gains by errors that stated poses share with their neighbours,
+        or joints where they stand alike. Other poses of the same robot share them too: predictions
+        leave it out. None without any."""
         if self._smooth_part is not None:
             return self._smooth_part.part
         if self.drifting is not None or self.learnt is None or self.learnt.alike is None:
@@ -181,7 +182,8 @@ class FitResult:
         if self.pose_part is None or self.learnt is None or self.learnt.alike is None:
             return None
         factor = self._variance_factor if self.variance_factor_applied else None
-        smooth = self.learnt.alike.smooth
+        if (smooth := self.learnt.alike.smooth) is None:
+            return None
         return replace(smooth, variances=tuple((factor or 1.0) * v for v in smooth.variances))
 
     def covariance_through(self, S: Array, drifting: Drifting | None) -> LearntCovariance:

@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from loopcal.errors import InputError
 from loopcal.estimation.cameras.corners import Corners
-from loopcal.estimation.cameras.start import EVERY, start
+from loopcal.estimation.cameras.lens_choice import EVERY
+from loopcal.estimation.cameras.start import start
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
 from tests.estimation.cameras.truth import COLUMNS, motion, pixel, shots

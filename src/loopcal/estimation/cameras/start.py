@@ -6,7 +6,7 @@ closed form, adjust it by a soft loss with the robot held, and name what the ima
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,9 +19,9 @@ from loopcal.estimation.cameras.corners import Corners, Views
 from loopcal.estimation.cameras.facts import Fact
 from loopcal.estimation.cameras.homography import focal_length, homographies, spread
 from loopcal.estimation.cameras.images import explained
+from loopcal.estimation.cameras.lens_choice import EVERY, FINEST, WRONG, Trial, clearly_better
 from loopcal.estimation.cameras.mistakes import CLEAR, corrected, image_misfit, mounted_misfit
 from loopcal.estimation.cameras.motions import most_alike, motion_facts
-from loopcal.estimation.cameras.pixels import by_point
 from loopcal.estimation.cameras.placing import Reading, placed, usable_part, view_poses
 from loopcal.estimation.cameras.scale import scale_facts
 from loopcal.estimation.cameras.scene import (
@@ -29,12 +29,10 @@ from loopcal.estimation.cameras.scene import (
     Adjusted,
     Scene,
     adjusted,
-    ahead,
     groups,
 )
-from loopcal.mechanisms.cameras.lens import LENSES, Intrinsics
+from loopcal.mechanisms.cameras.lens import Intrinsics
 
-Squares = tuple[Array, NDArray[np.intp]]
 PER_VIEW = 24
 """Corners per view that the adjustment of a start takes."""
 TRIAL = 100, 100
@@ -47,23 +45,11 @@ FREE = ("f", "cx", "cy", "k1", "k2")
 """What a start adjusts of a lens of the family brown; a fisheye has the same names."""
 USUAL = "brown5"
 """The lens that is taken where images do not ask for another."""
-EVERY = ("f", "cx", "cy", *LENSES["brown12"])
-"""The same as `FREE` where another lens is chosen, which images show."""
 _WORDS = {
     "brown8": "bent by eight coefficients",
     "brown12": "bent by twelve coefficients",
     "fisheye": "a fisheye",
 }
-SURE = 20.0
-"""Gain in log likelihood from which corners show another lens: more than half of log n for each of
-four coefficients (Schwarz 1978), for any n of corners up to 20,000."""
-WRONG = 4.0
-"""Medians of the residuals from which on a corner counts as wrong."""
-# Chosen, not derived: printed boards are detected by two and more times as much.
-FINEST = 0.02
-"""[px] Residuals of corners, rms, below which no other lens is asked for."""
-ERRORS = 2.0
-"""Standard errors over images of the same: a few images show no lens."""
 
 
 @dataclass(frozen=True)
@@ -168,104 +154,46 @@ def started(
         return begun
     seen = {c: corners.uv[corners.camera == i] for i, c in enumerate(corners.cameras)}
     reach = [float(np.ptp(seen[c], axis=0).max()) / begun.intrinsics[c].fx for c in unstated]
-    # By boards wherever they stand: errors of a robot would hide what a lens leaves.
-    tried = {USUAL: _squares(_with_lens(begun, USUAL, unstated))}
-    if _rms(tried[USUAL]) < FINEST:
+    usual = _trial(begun)
+    tried = {USUAL: usual}
+    if usual.rms < FINEST:
         return begun
     if max(reach) > _WIDE:
         try:
             wide = start(corners, None, intrinsics, image_sizes, lens="fisheye", free=EVERY)
-            tried["fisheye"] = _squares(_with_lens(wide, "fisheye", unstated))
+            tried["fisheye"] = _trial(wide)
         except InputError:
             pass
-    tried |= {each: _squares(_with_lens(begun, each, unstated)) for each in ("brown8", "brown12")}
+    tried |= {each: usual.with_lens(each, unstated) for each in ("brown8", "brown12")}
     lens = USUAL
     for other in tried:
-        if _clearly_better(tried[other], tried[lens]):
+        if clearly_better(tried[other], tried[lens]):
             lens = other
     if lens == USUAL:
         return begun
     bent = start(corners, T_base_flange, intrinsics, image_sizes, held, lens=lens, free=EVERY)
     words = (
         f"No file states the lens. It is taken as {_WORDS[lens]}, which leaves "
-        f"{_rms(tried[lens]):.2f} px at corners of boards that stand anywhere, the usual lens "
-        f"{_rms(tried[USUAL]):.2f} px."
+        f"{tried[lens].rms:.2f} px at corners of boards that stand anywhere, the usual lens "
+        f"{usual.rms:.2f} px."
     )
     return replace(bent, facts=(Fact(f"lens-{lens}", words, applied=True), *bent.facts))
 
 
-def _with_lens(begun: CameraStart, lens: str, cameras: Collection[str]) -> CameraStart:
-    """Some images with another lens of the same family in these cameras, boards with free poses."""
-    lenses = tuple(
-        Intrinsics.of(lens, dict.fromkeys(LENSES[lens], 0.0) | one.values, one.image)
-        if camera in cameras
-        else one
-        for camera, one in begun.intrinsics.items()
-    )
+def _trial(begun: CameraStart) -> Trial:
+    """Some images with the usual lens, boards with free poses."""
     views, X = begun.corners.views, begun.X @ np.linalg.inv(begun.X[0])
     boards = np.linalg.inv(X[views.camera]) @ begun.T_camera_board
     begins = dict(zip(_images(views), boards, strict=True))
-    few = Reading(begun.corners, None, lenses).thinned(*TRIAL)
-    corners, free = few.corners, _of_all(few, EVERY)
+    lenses = tuple(begun.intrinsics.values())
+    corners = Reading(begun.corners, None, lenses).thinned(*TRIAL).corners
     F = np.array([begins[one] for one in sorted({*_images(corners.views)})])
-    result = adjusted(corners, Scene(lenses, X, np.eye(4)[None], F=F), free, iterations=20)
-    result = adjusted(corners, result.scene, free, iterations=20, loss=REDESCENDING)
-    return replace(
-        begun,
-        corners=corners,
-        intrinsics=dict(zip(corners.cameras, result.scene.intrinsics, strict=True)),
-        T_camera_board=result.scene.of_views(corners.views),
-        residuals=result.residuals,
-    )
+    return Trial.of(corners, Scene(lenses, X, np.eye(4)[None], F=F))
 
 
 def _images(views: Views) -> list[tuple[int, int]]:
     """Image and board of each view, by which free poses are ordered."""
     return list(zip(views.image.tolist(), views.board.tolist(), strict=True))
-
-
-def _without_print(one: CameraStart) -> Array:
-    """(N, 2) [px] residuals less those of a point of a board that is elsewhere, alike in all
-    images: another lens would take up a part of them."""
-    corners, left = one.corners, one.residuals
-    T = one.T_camera_board[corners.views.of_corner]
-    P = (T[:, :3, :3] @ corners.xyz[:, :, None])[:, :, 0] + T[:, :3, 3]
-    J = np.empty((len(corners), 2, 3))
-    for c, lens in enumerate(one.intrinsics.values()):
-        mine = corners.camera == c
-        J[mine] = by_point(lens.lens, ahead(P[mine]), lens.values) @ T[mine, :3, :3]
-    d = np.hypot(*left.T)
-    J_good = np.where((d < WRONG * np.median(d))[:, None, None], J, 0.0)
-    ids = np.stack([corners.board, corners.point], axis=1)
-    point = np.unique(ids, axis=0, return_inverse=True)[1].reshape(-1)
-    N, g = np.zeros((point.max() + 1, 3, 3)), np.zeros((point.max() + 1, 3))
-    np.add.at(N, point, np.swapaxes(J_good, 1, 2) @ J_good)
-    np.add.at(g, point, np.einsum("nij,ni->nj", J_good, left))
-    moved = np.einsum("kij,kj->ki", np.linalg.pinv(N, rcond=1e-6, hermitian=True), g)
-    return np.asarray(left - np.einsum("nij,nj->ni", J, moved[point]))
-
-
-def _squares(one: CameraStart) -> Squares:
-    """(images,) mean square [px^2] of distances, of wrong corners by four medians, and count."""
-    corners, d = one.corners, np.hypot(*_without_print(one).T)
-    square = np.minimum(d, WRONG * np.median(d)) ** 2
-    count = np.bincount(corners.image, minlength=len(corners.poses))
-    sums = np.bincount(corners.image, square, len(corners.poses))
-    return sums / np.maximum(count, 1), count
-
-
-def _rms(squares: Squares) -> float:
-    square, count = squares
-    return float(np.sqrt(square @ count / count.sum()))
-
-
-def _clearly_better(other: Squares, one: Squares) -> bool:
-    """Whether the lens of the first fits more likely, and in images by more than chance."""
-    (less, n), (more, m) = other, one
-    gain = np.minimum(n, m) * (more - less) / max(_rms(other), FINEST) ** 2
-    gain = gain[(n > 0) & (m > 0)]
-    error = np.sqrt(len(gain)) * gain.std()
-    return bool(gain.sum() > max(SURE, ERRORS * error))
 
 
 def _behind(reading: Reading, result: Adjusted) -> list[Fact]:

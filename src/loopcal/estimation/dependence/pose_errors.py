@@ -52,11 +52,11 @@ _LEAST = 1e-8
 
 class PoseErrors(NamedTuple):
     """gained: (k, k) what the covariance of z gains; slope: (k, k) by how much one sd of the smooth
-    part changes that; smooth: what predictions of other poses need."""
+    part changes that; smooth: what predictions of other poses need, None of joints."""
 
     gained: Array
     slope: Array
-    smooth: SmoothErrors
+    smooth: SmoothErrors | None = None
 
 
 def pose_errors(

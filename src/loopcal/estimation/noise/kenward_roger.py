@@ -57,6 +57,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.arrays import Array
+from loopcal.estimation.dependence.joint_waves import joint_waves
 from loopcal.estimation.dependence.pose_errors import PoseErrors, pose_errors
 from loopcal.estimation.dependence.seen import Seen
 from loopcal.estimation.noise.linear_model import projected
@@ -98,8 +99,8 @@ class LearntParameters:
     shares of their variances, where ratios at zero are held there; sensors: (c, k, k) = Z_j of
     sensors; loadings: those of the terms, Z_j = loading^T loading; added: (k, k) what the
     covariance of z gains by it; shared: (k, k) what it gains by errors that neighbouring poses
-    share, None without any; alike: the same of stated poses, and how that changes by one sd of it,
-    along the last of `errors`.
+    share, None without any; alike: the same of stated poses, or of joints seen by cameras, and how
+    that changes by one sd of it, along the last of `errors`.
     """
 
     root: Array
@@ -206,8 +207,9 @@ def learnt_parameters(
     flat = along.reshape(-1, len(added))
     added -= flat.T @ flat
     at, root = estimate.solution, sensors.root
-    alike = pose_errors(estimate.problem, at.parameters, equations, root)
-    if alike is not None:  # the last error is that of what neighbouring poses share
+    where = estimate.problem, at.parameters, equations, root
+    alike = pose_errors(*where) or joint_waves(*where)
+    if alike is not None:  # the last error is that of what poses share
         errors, relative = (np.pad(one, ((0, 0), (0, 1))) for one in (errors, relative))
     gains = (
         shared(estimate.problem, at.corrections, equations, root),
