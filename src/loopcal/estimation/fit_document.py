@@ -30,7 +30,7 @@ from loopcal.estimation.solve.scratch import one_blas_thread
 def fit_document(result: FitResult) -> ResultDocument:
     """The document of a fit: what was added beside it, and a verdict, are not in it."""
     status = result.status
-    spread = result.learnt_covariance, result.spectrum.covariance()
+    spread = result.learnt_covariance, result.weighed_covariance
     shares, names = result.chi_squared_shares, result.mechanism.tape.quantities
     noise = noise_entries(result.noise, shares, names, _redundancy(result))
     coarse = coarse_readings(result.dataset, noise, result.problem, result.pose_equations())

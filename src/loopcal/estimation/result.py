@@ -361,6 +361,15 @@ class FitResult:
         terms = () if learnt is None else term_entries(self.mechanism, learnt)
         return terms if prints is None else (*terms, *prints.entries(self.mechanism))
 
+    @property
+    def weighed_covariance(self) -> Array:
+        """(n, n) by which the fit weighed its prior: at the sds that it used, with what the points
+        of prints leave open."""
+        prints, root = None if self.estimate is None else self.estimate.prints, self.spectrum.root
+        gained = None if prints is None else prints.gained(root)
+        plain = self.spectrum.covariance()
+        return plain if gained is None else np.asarray(plain + root @ gained @ root.T)
+
     @cached_property
     def printed(self) -> PrintedEntry | None:
         """What the points of prints leave open (`Prints.left`)."""

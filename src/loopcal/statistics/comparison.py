@@ -94,12 +94,15 @@ def compare(
     else:
         aligned, G = False, np.zeros((len(a.nominal), 0))
     d = difference(a.mechanism, values_of(a.mechanism), values_of(b.mechanism))
+    a, b = a.with_offsets, b.with_offsets
     loose = np.hstack([a.undetermined, b.undetermined])
     P = np.eye(len(d))
     if G.shape[1] and points is not None:
         stacked = points.S.reshape(-1, len(d))
         P = P - G @ np.linalg.lstsq(stacked @ G, stacked, rcond=None)[0]
-    left_out = np.hstack([G, loose])
+    # Prints wear and warp; the machine is the rest.
+    of_points = np.isin(a.mechanism.parameters.names, a.mechanism.parameters.of_role("corner"))
+    left_out = np.hstack([G, loose, np.eye(len(d))[:, of_points]])
     C = covariance_between(a.by_residuals, b.by_residuals)
     tested = _statistic(d, C, left_out)
     scattered = None
@@ -257,11 +260,17 @@ def _brought(b: Calibrated, points: _Points) -> tuple[Calibrated, Array]:
 
 
 def covariance_between(a: Calibrated, b: Calibrated) -> LearntCovariance:
-    """Of p_B - p_A; a prior that both share counts once."""
+    """Of p_B - p_A; a prior that both share counts once.
+
+    Offsets of the points of a print have a prior sd that each has learnt, and are the same in both.
+    """
     same = np.isfinite(a.prior_sd) & (a.prior_sd == b.prior_sd) & (a.prior_sd > 0.0)
+    if a.offsets is not None and b.offsets is not None:
+        same |= np.isfinite(a.offsets.prior_sd) & np.isfinite(b.offsets.prior_sd)
     # A prior is shared only if both began at the same drawing.
     close = np.abs(a.nominal - b.nominal) <= 1e-6 * np.where(same, a.prior_sd, 1.0)
-    precision = np.where(same & close, 1.0 / np.square(np.where(same, a.prior_sd, 1.0)), 0.0)
+    product = np.where(same, a.prior_sd, 1.0) * np.where(same, b.prior_sd, 1.0)
+    precision = np.where(same & close, 1.0 / product, 0.0)
 
     def shared(one: Array, other: Array) -> Array:
         """What both, or its slopes, took from the drawing."""
