@@ -42,7 +42,7 @@ from loopcal.document.verdict import Fact, Where, fact
 from loopcal.errors import InputError
 from loopcal.estimation.prediction import predict_outputs, solving
 from loopcal.estimation.problem.alignment import align
-from loopcal.estimation.problem.constants import with_latest
+from loopcal.estimation.problem.constants import with_implied, with_latest
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.measurements.dataset import Dataset
@@ -113,12 +113,14 @@ def compare(
     else:
         scattered = None
     spread = C.through(P)
+    pixels = {a.mechanism.quantities[q] for q in a.mechanism.outputs} == {"px"}
+    unit = "px" if pixels else "m"
     return Compared(
         a.name,
         b.name,
         aligned,
         _parameters(a, b, d, spread, P @ loose),
-        None if points is None else _differences(points, spread, points.S @ (P @ loose)),
+        None if points is None else _differences(points, spread, points.S @ (P @ loose), unit),
         tested,
         _reaches(a, b),
         tuple(_remarks(a, b, aligned, scattered)),
@@ -207,7 +209,7 @@ def thinned(data: Dataset) -> Dataset:
 
 def _readings(one: Calibrated, machine: Mechanism, data: Dataset) -> tuple[Array, Array]:
     """x (k, N) and constants (c, N); what is solved for starts where it usually is."""
-    data = with_latest(machine, data)
+    data = with_implied(machine, with_latest(machine, data))
     rows = []
     for q in machine.tape.quantities:
         column = data.readings.get(q, np.full(len(data), np.nan))
@@ -366,7 +368,9 @@ def _parameters(
     return tuple(differences)
 
 
-def _differences(points: _Points, spread: LearntCovariance, loose: Array) -> PointDifference:
+def _differences(
+    points: _Points, spread: LearntCovariance, loose: Array, unit: str
+) -> PointDifference:
     delta = (points.b - points.a).T
     covariance = spread.through(points.S)
     inverse = np.linalg.pinv(covariance.matrix, rcond=1e-9, hermitian=True)
@@ -375,7 +379,7 @@ def _differences(points: _Points, spread: LearntCovariance, loose: Array) -> Poi
     size = np.abs(points.S).max() * np.abs(loose).max(initial=0.0)
     if size:  # without any bound
         within = within | (np.abs(loose).max(axis=(1, 2), initial=0.0) > 1e-9 * size)
-    return PointDifference.of(points.ids, delta, covariance.matrix, within)
+    return PointDifference.of(points.ids, delta, covariance.matrix, within, unit)
 
 
 def _remarks(
