@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.document.choice import TermEntry
-from loopcal.document.findings import SmoothErrors
+from loopcal.document.findings import PrintedEntry, SmoothErrors
 from loopcal.document.fit import ChiSquared, CovarianceEntry, NoiseEntry
 from loopcal.document.plain import symmetric
 from loopcal.document.result_document import ResultDocument
@@ -110,8 +110,7 @@ class Calibrated:
             result.conditions,
             pose_part=_square(result.pose_part, free, size),
             smooth_errors=result.smooth_errors,
-            offsets=result.printed
-            and Offsets.of(result.printed, parameters.names, result.estimated),
+            offsets=_offsets(result.printed, parameters.names, result.estimated),
         )
 
     @classmethod
@@ -158,7 +157,7 @@ class Calibrated:
             sound=None if document.verdict is None else document.verdict.sound,
             pose_part=_square(stored_pose_part(document.covariance), free, len(names)),
             smooth_errors=None if stored is None else stored.smooth_errors,
-            offsets=stored and stored.printed and Offsets.of(stored.printed, names, estimated),
+            offsets=_offsets(None if stored is None else stored.printed, names, estimated),
         )
 
     @property
@@ -273,6 +272,12 @@ class Calibrated:
     def by_residuals(self) -> Calibrated:
         """With a covariance as large as the residuals, where chi-squared rejects the sds."""
         return replace(self, covariance=by_residuals(self.covariance, self.rejected))
+
+
+def _offsets(
+    entry: PrintedEntry | None, names: Sequence[str], estimated: Sequence[str]
+) -> Offsets | None:
+    return None if entry is None else Offsets.of(entry, names, estimated)
 
 
 def _hidden(result: FitResult) -> dict[str, float]:

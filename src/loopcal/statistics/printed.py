@@ -36,7 +36,8 @@ class Offsets:
         place = {name: i for i, name in enumerate(names)}
         rows, n = np.array([place[name] for name in entry.names], dtype=np.intp), len(names)
         follow, prior_sd = np.zeros((n, n)), np.full(n, np.inf)
-        follow[np.ix_(rows, [place[name] for name in estimated])] = entry.follow
+        columns = np.array([place[name] for name in estimated], dtype=np.intp)
+        follow[np.ix_(rows, columns)] = entry.follow
         prior_sd[rows] = entry.prior
         points = [name.rpartition("_")[0] for name in entry.names]
         number = {point: i for i, point in enumerate(dict.fromkeys(points))}
