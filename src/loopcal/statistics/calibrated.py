@@ -17,6 +17,7 @@ from loopcal.document.plain import symmetric
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Answer
 from loopcal.estimation.dependence.stated_poses import unknown_share
+from loopcal.estimation.noise.prints import weighed
 from loopcal.estimation.result import FitResult
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
@@ -104,7 +105,7 @@ class Calibrated:
             result.terms,
             result.noise,
             residual_variance(result) if exact else None,
-            LearntCovariance.certain(result.weighed_covariance).within(size, free).matrix,
+            LearntCovariance.certain(weighed(result.prints, system)).within(size, free).matrix,
             seen and seen.through(np.eye(size)[:, free]),
             _hidden(result),
             result.conditions,

@@ -45,6 +45,7 @@ from loopcal.mechanisms.terms import Term
 from loopcal.presentation.shown import with_unit
 
 if TYPE_CHECKING:
+    from loopcal.estimation.solve.reduction import Spectrum
     from loopcal.estimation.solve.solution import End
 
 AXES = "xyz"
@@ -372,6 +373,14 @@ class Prints:
         S = self.sums[np.ix_(n + used, n + used)] + np.diag(1.0 / np.square(sds[used]))
         left = alone - B @ np.linalg.solve(S, B.T)
         return np.asarray(np.linalg.inv(0.5 * (left + left.T)) - np.linalg.inv(alone))
+
+
+def weighed(prints: Prints | None, system: Spectrum) -> Array:
+    """(n, n) the covariance by which a fit weighed its prior: at the sds that it used, with what
+    the points of prints leave open."""
+    plain, root = system.covariance(), system.root
+    gained = None if prints is None else prints.gained(root)
+    return plain if gained is None else np.asarray(plain + root @ gained @ root.T)
 
 
 def _nominal(problem: Problem) -> Array:
