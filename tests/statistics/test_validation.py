@@ -16,7 +16,7 @@ from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.result import FitResult
 from loopcal.statistics import case, validation
 from loopcal.statistics.folds import blocks, folds, grouped, held_out, repeated
-from loopcal.statistics.predictive import Held, Predictive
+from loopcal.statistics.predictive import Held, Predictive, predictive
 from loopcal.statistics.validate import compare_methods, validate
 from tests.reference.simulated import arm_at, planar_arm
 from tests.refusals import refused
@@ -59,10 +59,8 @@ def test_every_pose_is_left_out_once_and_repeats_stay_together() -> None:
 
 
 def test_a_part_without_regions_leaves_those_of_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    stated = validation.predictive
-
     def silent(fit: FitResult, held: Held, drifting: Any, run: Any) -> Predictive | None:
-        return None if 0 in run.held else stated(fit, held, drifting, run)
+        return None if 0 in run.held else predictive(fit, held, drifting, run)
 
     monkeypatch.setattr(validation, "predictive", silent)
     made = validate(ARM.truth, DATA, noise=NOISE, folds=5)

@@ -129,7 +129,7 @@ def test_what_a_file_holds_of_offsets_is_their_covariance(
 ) -> None:
     """Given the parameters: the few ways in which all err together, and each point alone."""
     _, result = scattered
-    prints, entry = result.estimate and result.estimate.prints, result.printed
+    prints, entry = result.prints, result.printed
     assert prints is not None
     assert prints.sums is not None
     assert entry is not None
