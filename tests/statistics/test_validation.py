@@ -14,8 +14,9 @@ import loopcal as lc
 from loopcal.errors import Code, InputError
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.result import FitResult
-from loopcal.statistics import case
+from loopcal.statistics import case, validation
 from loopcal.statistics.folds import blocks, folds, grouped, held_out, repeated
+from loopcal.statistics.predictive import Held, Predictive, predictive
 from loopcal.statistics.validate import compare_methods, validate
 from tests.reference.simulated import arm_at, planar_arm
 from tests.refusals import refused
@@ -55,6 +56,22 @@ def test_every_pose_is_left_out_once_and_repeats_stay_together() -> None:
     some = held_out(groups, 0.3, seed=0)
     assert len(some) == 24
     assert set(some) == {(i + 40) % 80 for i in some}
+
+
+def test_a_part_without_regions_leaves_those_of_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    def silent(fit: FitResult, held: Held, drifting: Any, run: Any) -> Predictive | None:
+        return None if 0 in run.held else predictive(fit, held, drifting, run)
+
+    monkeypatch.setattr(validation, "predictive", silent)
+    made = validate(ARM.truth, DATA, noise=NOISE, folds=5)
+    assert made.coverage is not None
+    assert made.coverage.poses == 32
+    assert made.log_likelihood is None
+    (part,) = made.silent
+    assert part.poses == 8
+    words, *_ = made.warnings
+    assert words.startswith(f"Fold {part.number} of 5 (8 poses) has no region: ")
+    assert made.entry.silent == made.silent
 
 
 def test_a_passive_sensor_that_jitters_and_a_time_do_not_split_repeats() -> None:

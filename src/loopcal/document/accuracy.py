@@ -148,7 +148,7 @@ class ValidationEntry:
     accuracy: Distances | None
     """In the unit of `accuracy`; null: no outputs."""
     log_likelihood: float | None
-    """Predictive, summed over the poses; null where the method has none."""
+    """Predictive, summed over the poses; null where the method has none, or a part."""
     orientation: Distances | None = None
     """Angles [rad] between computed and measured orientations; null: none, or nothing else is."""
     by: tuple[InstrumentDistances, ...] = ()
@@ -164,6 +164,8 @@ class ValidationEntry:
     """The same for regions of the joint space left out one by one; null: not asked for."""
     images: ValidationEntry | None = None
     """The same for regions of the image; null: no cameras, or too few images."""
+    silent: tuple[FailedPart, ...] = ()
+    """Parts whose fit states no regions: `coverage` is that of the others."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -171,9 +173,10 @@ class ValidationEntry:
         part_named = "Block" if "blocks" in self.scheme else "Fold"
         part_named = "Image region" if "of" in self.scheme else part_named
         sentences = tuple(
-            f"{part_named} {part.number} of {self.parts} ({part.poses} poses) is not validated: "
+            f"{part_named} {part.number} of {self.parts} ({part.poses} poses) {lacks}: "
             f"{part.reason}."
-            for part in self.failed
+            for parts, lacks in ((self.failed, "is not validated"), (self.silent, "has no region"))
+            for part in parts
         )
         others = (one.warnings for one in (self.blocked, self.images) if one is not None)
         return (*sentences, *(words for one in others for words in one))

@@ -361,14 +361,20 @@ class SmoothErrors:
 
 @dataclass(frozen=True)
 class PrintedEntry:
-    """Offsets of the points of prints, which the fit eliminated: they err by
-    `follow` times the error of the estimated parameters, and independently by `sds`."""
+    """Offsets d of the points of prints, which the fit eliminated. With the error dp of the
+    estimated parameters they err by F dp + U w + V v, all w and v independent of sd 1."""
 
     names: tuple[str, ...]
     sds: tuple[float, ...]
-    """[m]"""
+    """[m], of U w + V v."""
     follow: tuple[tuple[float, ...], ...]
-    """By offset and parameter [SI]."""
+    """F, by offset and parameter [SI]."""
+    together: tuple[tuple[float, ...], ...]
+    """U^T [m], by what all points share and by offset."""
+    alone: tuple[tuple[float, ...], ...]
+    """V [m], by offset and the three v of its point."""
+    prior: tuple[float, ...]
+    """Learnt sds of the offsets themselves [m]."""
 
 
 @dataclass(frozen=True)

@@ -455,6 +455,9 @@ def _coverage(validation: ValidationEntry | None) -> list[str]:
     )
     if validation.blocked is not None and validation.blocked.coverage is not None:
         words += f", {percent(validation.blocked.coverage.share, 1)} in regions not used"
+    if validation.silent:
+        stating = validation.parts - len(validation.failed) - len(validation.silent)
+        words += f"; {stating} of {validation.parts} folds state regions"
     return [words]
 
 

@@ -20,6 +20,7 @@ from loopcal.estimation.document_parts import (
     parameter_entry,
 )
 from loopcal.estimation.noise.learning import joint_covariances
+from loopcal.estimation.noise.prints import weighed
 from loopcal.estimation.problem.alignment import sought
 from loopcal.estimation.redundancy import Redundancy, redundancy
 from loopcal.estimation.result import FitResult
@@ -30,7 +31,7 @@ from loopcal.estimation.solve.scratch import one_blas_thread
 def fit_document(result: FitResult) -> ResultDocument:
     """The document of a fit: what was added beside it, and a verdict, are not in it."""
     status = result.status
-    spread = result.learnt_covariance, result.spectrum.covariance()
+    spread = result.learnt_covariance, weighed(result.prints, result.spectrum)
     shares, names = result.chi_squared_shares, result.mechanism.tape.quantities
     noise = noise_entries(result.noise, shares, names, _redundancy(result))
     coarse = coarse_readings(result.dataset, noise, result.problem, result.pose_equations())

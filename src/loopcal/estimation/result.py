@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from loopcal.estimation.dependence.smooth_images import SmoothPart
     from loopcal.estimation.noise.estimation import NoiseEstimate
     from loopcal.estimation.noise.kenward_roger import LearntParameters
+    from loopcal.estimation.noise.prints import Prints
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,8 +124,7 @@ class FitResult:
     def freedom(self) -> int:
         """Degrees of freedom: loop equations + finite priors - determined parameters."""
         informed = int(np.count_nonzero(self.problem.precision))
-        prints = None if self.estimate is None else self.estimate.prints
-        used = 0 if prints is None else round(prints.freedom)
+        used = 0 if self.prints is None else round(self.prints.freedom)
         return self.solution.equations + informed - self.spectrum.rank - used
 
     def pose_equations(self) -> tuple[PoseEquations, ...]:
@@ -355,19 +355,21 @@ class FitResult:
     @cached_property
     def terms(self) -> tuple[TermEntry, ...]:
         """What was learnt of each term of the mechanism; empty where nothing was."""
-        if self.inherited is not None:
-            return self.inherited.terms
-        if self.estimate is None:
-            return ()
+        if self.inherited is not None or self.estimate is None:
+            return () if self.inherited is None else self.inherited.terms
         learnt, prints = self.estimate.variances.terms, self.estimate.prints
         terms = () if learnt is None else term_entries(self.mechanism, learnt)
         return terms if prints is None else (*terms, *prints.entries(self.mechanism))
 
+    @property
+    def prints(self) -> Prints | None:
+        """The offsets of points of prints."""
+        return None if self.estimate is None else self.estimate.prints
+
     @cached_property
     def printed(self) -> PrintedEntry | None:
         """What the points of prints leave open (`Prints.left`)."""
-        prints = None if self.estimate is None else self.estimate.prints
-        return None if prints is None else prints.left()
+        return None if self.prints is None else self.prints.left()
 
     @property
     def learns_terms(self) -> bool:
@@ -388,8 +390,7 @@ class FitResult:
 
         at = self.solution.parameters, self.solution.corrections
         terms = with_parts(self.terms, self.problem, *at, self.covariance)
-        prints = None if self.estimate is None else self.estimate.prints
-        printed = {} if prints is None else prints.parts()
+        printed = {} if self.prints is None else self.prints.parts()
         return tuple(
             replace(term, parts=tuple(printed[term.name])) if term.name in printed else term
             for term in terms

@@ -11,17 +11,19 @@ from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.document.choice import TermEntry
-from loopcal.document.findings import SmoothErrors
+from loopcal.document.findings import PrintedEntry, SmoothErrors
 from loopcal.document.fit import ChiSquared, CovarianceEntry, NoiseEntry
 from loopcal.document.plain import symmetric
 from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Answer
 from loopcal.estimation.dependence.stated_poses import unknown_share
+from loopcal.estimation.noise.prints import weighed
 from loopcal.estimation.result import FitResult
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parallel.free_body import COLUMNS, POSITION
 from loopcal.small_samples import LearntCovariance
+from loopcal.statistics.printed import Offsets
 from loopcal.statistics.scatter import Scatter, scatter
 
 
@@ -57,7 +59,8 @@ class Calibrated:
     hidden: quantities that no sensor reads, and where they usually are [SI]; conditions: in which
     it was measured (`FitResult.conditions`); sound: what its verdict says of it, None of a fit that
     was not judged; pose_part: (n_all, n_all) of the covariance (`FitResult.pose_part`), and
-    smooth_errors, which say how far poses are from those of the fit.
+    smooth_errors, which say how far poses are from those of the fit; offsets: what the points of
+    prints leave open, of which covariance says nothing.
     """
 
     name: str
@@ -79,6 +82,7 @@ class Calibrated:
     sound: Answer | None = None
     pose_part: Array | None = None
     smooth_errors: SmoothErrors | None = None
+    offsets: Offsets | None = None
 
     @classmethod
     def of(cls, result: FitResult, name: str) -> Calibrated:
@@ -101,12 +105,13 @@ class Calibrated:
             result.terms,
             result.noise,
             residual_variance(result) if exact else None,
-            LearntCovariance.certain(result.spectrum.covariance()).within(size, free).matrix,
+            LearntCovariance.certain(weighed(result.prints, system)).within(size, free).matrix,
             seen and seen.through(np.eye(size)[:, free]),
             _hidden(result),
             result.conditions,
             pose_part=_square(result.pose_part, free, size),
             smooth_errors=result.smooth_errors,
+            offsets=_offsets(result.printed, parameters.names, result.estimated),
         )
 
     @classmethod
@@ -153,6 +158,7 @@ class Calibrated:
             sound=None if document.verdict is None else document.verdict.sound,
             pose_part=_square(stored_pose_part(document.covariance), free, len(names)),
             smooth_errors=None if stored is None else stored.smooth_errors,
+            offsets=_offsets(None if stored is None else stored.printed, names, estimated),
         )
 
     @property
@@ -188,6 +194,24 @@ class Calibrated:
             gain=None if self.gain is None else M @ self.gain @ M.T,
             scatter=self.scatter and self.scatter.through(M),
             pose_part=None if self.pose_part is None else M @ self.pose_part @ M.T,
+            offsets=self.offsets and self.offsets.through(M),
+        )
+
+    @property
+    def with_offsets(self) -> Calibrated:
+        """The same with the offsets of points among its parameters."""
+        offsets = self.offsets
+        if offsets is None:
+            return self
+        used = LearntCovariance.certain(self.unwidened)
+        prior_sd = np.where(np.isfinite(offsets.prior_sd), offsets.prior_sd, self.prior_sd)
+        covariance = offsets.beside(self.covariance)
+        return replace(
+            self,
+            covariance=covariance,
+            undetermined=offsets.carried @ self.undetermined,
+            prior_sd=prior_sd,
+            gain=offsets.beside(used).matrix,
         )
 
     def predicting(self, data: Dataset) -> Calibrated:
@@ -197,7 +221,7 @@ class Calibrated:
         covariance = self.covariance.less(part)
         if part is not None and unknown is not None and self.smooth_errors is not None:
             covariance = covariance.widened(unknown.mean() * part, self.smooth_errors.spread)
-        return replace(self, covariance=covariance, pose_part=None)
+        return replace(self, covariance=covariance, pose_part=None).with_offsets
 
     def unknown_share(self, data: Dataset) -> Array | None:
         """(N,) of the smooth errors of these poses (`unknown_share`); None without any."""
@@ -249,6 +273,12 @@ class Calibrated:
     def by_residuals(self) -> Calibrated:
         """With a covariance as large as the residuals, where chi-squared rejects the sds."""
         return replace(self, covariance=by_residuals(self.covariance, self.rejected))
+
+
+def _offsets(
+    entry: PrintedEntry | None, names: Sequence[str], estimated: Sequence[str]
+) -> Offsets | None:
+    return None if entry is None else Offsets.of(entry, names, estimated)
 
 
 def _hidden(result: FitResult) -> dict[str, float]:

@@ -61,8 +61,9 @@ class ParameterDifference:
 class PointDifference:
     """B minus A at common poses: difference (N, o) and covariance (N, o, o) [SI].
 
-    rms, max: of the distances; worst: the pose of the largest, sd: of that distance; inside:
-    share of the poses whose difference lies in the 95 % region of its covariance.
+    rms, max: of the distances, of an image rms over its corners; worst: the pose of the largest,
+    sd: of that distance; inside: share of the poses whose difference lies in the 95 % region of
+    its covariance; unit: of the distances.
     """
 
     poses: tuple[str, ...]
@@ -73,16 +74,23 @@ class PointDifference:
     worst: str
     sd: float
     inside: float
+    unit: str = "m"
 
     @classmethod
     def of(
-        cls, ids: tuple[str, ...], delta: Array, covariance: Array, within: NDArray[np.bool_]
+        cls,
+        ids: tuple[str, ...],
+        delta: Array,
+        covariance: Array,
+        within: NDArray[np.bool_],
+        unit: str = "m",
     ) -> PointDifference:
         """From differences and whether each lies within its 95 % region."""
-        distance = np.linalg.norm(delta, axis=1)
+        corners = delta.shape[1] / 2 if unit == "px" else 1.0
+        distance = np.linalg.norm(delta, axis=1) / math.sqrt(corners)
         worst = int(np.argmax(distance))
         # To first order a distance changes by what its ends move along it.
-        direction = delta[worst] / max(float(distance[worst]), 1e-300)
+        direction = delta[worst] / max(float(distance[worst]), 1e-300) / corners
         return cls(
             ids,
             delta,
@@ -92,6 +100,7 @@ class PointDifference:
             ids[worst],
             float(np.sqrt(max(direction @ covariance[worst] @ direction, 0.0))),
             float(within.mean()),
+            unit,
         )
 
 
@@ -204,6 +213,7 @@ class Compared:
             "common_poses": points
             and {
                 "poses": len(points.poses),
+                "unit": points.unit,
                 "rms": points.rms,
                 "max": points.max,
                 "worst_pose": points.worst,
@@ -242,11 +252,10 @@ class Compared:
 
 def _where(points: PointDifference) -> str:
     # outputs of several units have no one distance; those of an arm are all lengths
-    most, sd, rms = (
-        significant(from_si(v, SHOWN["m"]), 3) for v in (points.max, points.sd, points.rms)
-    )
+    unit = SHOWN.get(points.unit, points.unit)
+    most, sd, rms = (significant(from_si(v, unit), 3) for v in (points.max, points.sd, points.rms))
     return (
-        f"largest {most} mm (sd {sd} mm, pose {points.worst}), rms {rms} mm at "
+        f"largest {most} {unit} (sd {sd} {unit}, pose {points.worst}), rms {rms} {unit} at "
         f"{len(points.poses)} common poses, "
     )
 

@@ -42,7 +42,7 @@ from loopcal.document.verdict import Fact, Where, fact
 from loopcal.errors import InputError
 from loopcal.estimation.prediction import predict_outputs, solving
 from loopcal.estimation.problem.alignment import align
-from loopcal.estimation.problem.constants import with_latest
+from loopcal.estimation.problem.constants import with_implied, with_latest
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.measurements.dataset import Dataset
@@ -94,12 +94,15 @@ def compare(
     else:
         aligned, G = False, np.zeros((len(a.nominal), 0))
     d = difference(a.mechanism, values_of(a.mechanism), values_of(b.mechanism))
+    a, b = a.with_offsets, b.with_offsets
     loose = np.hstack([a.undetermined, b.undetermined])
     P = np.eye(len(d))
     if G.shape[1] and points is not None:
         stacked = points.S.reshape(-1, len(d))
         P = P - G @ np.linalg.lstsq(stacked @ G, stacked, rcond=None)[0]
-    left_out = np.hstack([G, loose])
+    # Prints wear and warp; the machine is the rest.
+    of_points = np.isin(a.mechanism.parameters.names, a.mechanism.parameters.of_role("corner"))
+    left_out = np.hstack([G, loose, np.eye(len(d))[:, of_points]])
     C = covariance_between(a.by_residuals, b.by_residuals)
     tested = _statistic(d, C, left_out)
     scattered = None
@@ -110,12 +113,14 @@ def compare(
     else:
         scattered = None
     spread = C.through(P)
+    pixels = {a.mechanism.quantities[q] for q in a.mechanism.outputs} == {"px"}
+    unit = "px" if pixels else "m"
     return Compared(
         a.name,
         b.name,
         aligned,
         _parameters(a, b, d, spread, P @ loose),
-        None if points is None else _differences(points, spread, points.S @ (P @ loose)),
+        None if points is None else _differences(points, spread, points.S @ (P @ loose), unit),
         tested,
         _reaches(a, b),
         tuple(_remarks(a, b, aligned, scattered)),
@@ -204,7 +209,7 @@ def thinned(data: Dataset) -> Dataset:
 
 def _readings(one: Calibrated, machine: Mechanism, data: Dataset) -> tuple[Array, Array]:
     """x (k, N) and constants (c, N); what is solved for starts where it usually is."""
-    data = with_latest(machine, data)
+    data = with_implied(machine, with_latest(machine, data))
     rows = []
     for q in machine.tape.quantities:
         column = data.readings.get(q, np.full(len(data), np.nan))
@@ -257,11 +262,17 @@ def _brought(b: Calibrated, points: _Points) -> tuple[Calibrated, Array]:
 
 
 def covariance_between(a: Calibrated, b: Calibrated) -> LearntCovariance:
-    """Of p_B - p_A; a prior that both share counts once."""
+    """Of p_B - p_A; a prior that both share counts once.
+
+    Offsets of the points of a print have a prior sd that each has learnt, and are the same in both.
+    """
     same = np.isfinite(a.prior_sd) & (a.prior_sd == b.prior_sd) & (a.prior_sd > 0.0)
+    if a.offsets is not None and b.offsets is not None:
+        same |= np.isfinite(a.offsets.prior_sd) & np.isfinite(b.offsets.prior_sd)
     # A prior is shared only if both began at the same drawing.
     close = np.abs(a.nominal - b.nominal) <= 1e-6 * np.where(same, a.prior_sd, 1.0)
-    precision = np.where(same & close, 1.0 / np.square(np.where(same, a.prior_sd, 1.0)), 0.0)
+    product = np.where(same, a.prior_sd, 1.0) * np.where(same, b.prior_sd, 1.0)
+    precision = np.where(same & close, 1.0 / product, 0.0)
 
     def shared(one: Array, other: Array) -> Array:
         """What both, or its slopes, took from the drawing."""
@@ -357,7 +368,9 @@ def _parameters(
     return tuple(differences)
 
 
-def _differences(points: _Points, spread: LearntCovariance, loose: Array) -> PointDifference:
+def _differences(
+    points: _Points, spread: LearntCovariance, loose: Array, unit: str
+) -> PointDifference:
     delta = (points.b - points.a).T
     covariance = spread.through(points.S)
     inverse = np.linalg.pinv(covariance.matrix, rcond=1e-9, hermitian=True)
@@ -366,7 +379,7 @@ def _differences(points: _Points, spread: LearntCovariance, loose: Array) -> Poi
     size = np.abs(points.S).max() * np.abs(loose).max(initial=0.0)
     if size:  # without any bound
         within = within | (np.abs(loose).max(axis=(1, 2), initial=0.0) > 1e-9 * size)
-    return PointDifference.of(points.ids, delta, covariance.matrix, within)
+    return PointDifference.of(points.ids, delta, covariance.matrix, within, unit)
 
 
 def _remarks(

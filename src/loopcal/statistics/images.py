@@ -145,9 +145,10 @@ def halves_apart(whole: FitResult, *fits: FitResult) -> tuple[HalvesEntry, ...]:
 def _beside_lens_errors(fit: FitResult) -> Calibrated:
     """Without what the covariance gains by the field that other images share."""
     one, errors = Calibrated.of(fit, ""), fit.lens_errors
-    if errors is None:
-        return one
-    return replace(one, covariance=one.covariance.widened(-_within(fit, errors.covariance)))
+    if errors is not None:
+        part = _within(fit, errors.covariance)
+        one = replace(one, covariance=one.covariance.widened(-part))
+    return one.with_offsets
 
 
 def _within(fit: FitResult, part: Array) -> Array:

@@ -4,7 +4,8 @@ Linearised where the readings stand, the misclosure of a pose has the covariance
 
     W + J_p Cov_p J_p^T,   W = J_x Sigma J_x^T,
 
-the noise of its own readings and what the fit does not know of its parameters. Least squares
+the noise of its own readings and what the fit does not know of its parameters, with the offsets of
+the points of a print among these (`printed`). Least squares
 knows no Sigma; its residual variance, the same for every loop equation, stands for W.
 
 The covariance of poses that a fit has not seen, but whose run it has.
@@ -34,6 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.arrays import Array
+from loopcal.document.findings import PrintedEntry
 from loopcal.estimation.dependence.dependence import Drifting
 from loopcal.estimation.dependence.seen import Errors, seen
 from loopcal.estimation.fit import used_noise, weighed
@@ -52,6 +54,7 @@ from loopcal.estimation.steps import begun_near
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.small_samples import LearntCovariance, f_limit
+from loopcal.statistics.printed import Offsets
 
 if TYPE_CHECKING:
     from loopcal.estimation.dependence.image_errors import ImageErrors
@@ -169,9 +172,10 @@ def predictive(
     drifting: the drift that its covariance allows for; run: where the poses stand in its run, None
     for another one.
     """
-    problem, shared = held.problem, None
-    if fit.estimate is not None and fit.estimate.prints is not None:
-        problem = fit.estimate.prints.widened(problem)
+    problem, offsets, shared = held.problem, None, None
+    if fit.printed is not None:
+        problem = _with_points(problem, fit.printed)
+        offsets = Offsets.of(fit.printed, problem.names, fit.estimated)
     if drifting is not None and run is not None:
         shared = SameRun.of(fit, problem, held.corrections, drifting, run)
     learnt = () if shared is not None else fit.learnt_noise
@@ -194,8 +198,12 @@ def predictive(
     loops = np.zeros(len(problem.poses), dtype=np.intp)
     denominator = np.full(len(problem.poses), math.inf)
     for (_, poses), block in zip(problem.blocks(), model.blocks, strict=True):
-        r = block.e.shape[1]
+        r, beside = block.e.shape[1], np.zeros(())
         W = block.fixed + block.G @ np.swapaxes(block.G, -1, -2) + unit_variance * np.eye(r)
+        if offsets is not None:
+            JR = rows_times(block.J, offsets.root)
+            beside = JR @ np.swapaxes(JR, -1, -2)
+            block = block.by(rows_times(block.J, offsets.carried[:, : len(fit.estimated)]))
         if shared is not None:
             noise = np.broadcast_to(np.eye(r), W.shape) if unit_variance else W
             total = LearntCovariance.certain(
@@ -214,7 +222,7 @@ def predictive(
                 for j, (_, relative) in enumerate(learnt):
                     G = block.G[:, :, block.owner == j]
                     slopes += np.multiply.outer(relative, G @ np.swapaxes(G, -1, -2))
-            total = covariance.plus(LearntCovariance(W, W, slopes))
+            total = covariance.plus(LearntCovariance(W + beside, W + beside, slopes))
         densities = _densities(block, W, total.matrix, free, limit / scale)
         if densities is None:
             return None
@@ -224,6 +232,18 @@ def predictive(
         density[poses], squares[poses] = densities[0] - 0.5 * aside, densities[1]
         loops[poses], denominator[poses] = block.equations, total.denominator
     return Predictive(density, squares, loops, denominator)
+
+
+def _with_points(problem: Problem, printed: PrintedEntry) -> Problem:
+    """The same with the offsets of points of prints among what is estimated."""
+    place = {name: i for i, name in enumerate(problem.mechanism.parameters.names)}
+    rows = np.array([place[name] for name in printed.names], dtype=np.intp)
+    return replace(
+        problem,
+        free=np.concatenate([problem.free, rows]),
+        nominal=np.concatenate([problem.nominal, problem.start[rows]]),
+        prior_sd=np.concatenate([problem.prior_sd, printed.prior]),
+    )
 
 
 def _with_shared(problem: Problem, corrections: Array, images: ImageErrors) -> LinearModel:

@@ -430,8 +430,7 @@ def with_prints(
     """What offsets of the points of prints do at readings x (k, N) [SI]; S: by the parameters.
 
     An output depends on one point alone, so that all points move at once: with its derivatives g
-    (3,) by the offset of its point it gains g^T B in S, of offsets that follow by B, and two
-    outputs of a point have the covariance sum_a g_a s_a^2 h_a besides.
+    (3,) by the offset of its point it gains g^T F in S and errs by g^T (U w + V v) besides.
     """
     printed = calibrated.printed
     if printed is None:
@@ -440,9 +439,12 @@ def with_prints(
     values = np.array([p.nominal for p in mechanism.parameters])
     number = {name: i for i, name in enumerate(printed.names)}
     points = [":".join(q.split(":")[1:3]) for q in calibrated.units]
-    follow, sds = np.array(printed.follow), np.array(printed.sds)
-    slopes, own = S.copy(), np.zeros((3, len(points), len(S)))
-    for axis, gained in zip("xyz", own, strict=True):
+    errors = [np.array(part) for part in (printed.follow, printed.alone, printed.together)]
+    follow, alone, together = errors[0], errors[1], errors[2].reshape(-1, len(number)).T
+    slopes = S.copy()
+    by_point = np.zeros((len(S), len(points), 3))
+    by_all = np.zeros((len(S), len(points), together.shape[1]))
+    for axis in "xyz":
         names = [f"{point.replace(':', '_')}_{axis}" for point in points]
         rows = [i for i, name in enumerate(names) if name in number]
         ends = []
@@ -450,12 +452,13 @@ def with_prints(
             moved = values.copy()
             moved[list({place[names[i]] for i in rows})] += way
             ends.append(predict_outputs(mechanism, moved, x, constants, calibrated.names))
-        g = (ends[0] - ends[1])[rows] / (2.0 * _MOVED)
+        g = ((ends[0] - ends[1])[rows] / (2.0 * _MOVED)).T[:, :, None]
         which = [number[names[i]] for i in rows]
-        slopes[:, rows] += g.T[:, :, None] * follow[which]
-        gained[rows] = sds[which, None] * g
-    alike = np.equal.outer(points, points)
-    return WithPrints(slopes, np.einsum("ain,ajn->nij", own, own) * alike)
+        slopes[:, rows] += g * follow[which]
+        by_point[:, rows] += g * alone[which]
+        by_all[:, rows] += g * together[which]
+    beside = by_point @ by_point.transpose(0, 2, 1) * np.equal.outer(points, points)
+    return WithPrints(slopes, beside + by_all @ by_all.transpose(0, 2, 1))
 
 
 def trace_sd(covariance: Array, group: OutputGroup) -> Array:

@@ -180,6 +180,8 @@ def _small_and_held(document: ResultDocument, share: float) -> bool:
     images = accuracy is not None and bool(accuracy.pixels)
     if share >= LEAST_SHARE or not (document.terms or images) or validation is None:
         return False
+    if validation.silent or (validation.blocked and validation.blocked.silent):
+        return False
     blocked = validation.blocked and validation.blocked.coverage
     tested = [held for held in (validation.coverage, blocked) if held and held.poses]
     return len(tested) == 2 and not any(map(_rarely_hold, tested))
@@ -230,7 +232,7 @@ def _model_error(document: ResultDocument) -> Fact | None:
 def _overfitted(document: ResultDocument) -> Fact | None:
     """Where no regions are stated: those contain what few poses leave open, and are tested."""
     accuracy, validation = document.accuracy, document.validation
-    if validation is not None and validation.coverage is not None:
+    if validation is not None and validation.coverage is not None and not validation.silent:
         return None
     unseen = None if validation is None else validation.accuracy
     if accuracy is None or unseen is None or unseen.rms <= WORSE * accuracy.after.rms:

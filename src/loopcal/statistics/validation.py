@@ -68,6 +68,7 @@ prediction moves by more than a hundredth of its error."""
 # Chosen, not derived: far below what a prediction shows.
 ENOUGH = 1e-5
 """Elsewhere: no prediction moves by more than a hundred-thousandth of its error."""
+_SILENT = "the other poses do not limit where it lies"
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +81,9 @@ class Validation:
     the loop equations, None where the method has no distribution for it; by_pose: (N,) its
     terms, distances: (N,) between computed and measured outputs, both in the order of `poses`;
     parts: how many parts were to be predicted; failed: those whose fit failed, which do not count;
-    inside: (N,) 1 where the measured point lies in its stated region of probability `LEVEL`, else
-    0, NaN where a pose has none, None where the method states none; places: of the boards that
+    silent: those whose fit states no regions; inside: (N,) 1 where the measured point lies in its
+    stated region of probability `LEVEL`, else 0, NaN where a pose has none, None where no part
+    states any; places: of the boards that
     cameras see; blocked: the same for regions of the joint space left out one by one, None where
     that was not asked for; images: the same for regions of the image; groups: (N,) of poses that
     were never split, such as repeats of one pose.
@@ -103,6 +105,7 @@ class Validation:
     blocked: Validation | None = None
     images: Validation | None = None
     groups: Index | None = None
+    silent: tuple[FailedPart, ...] = ()
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -141,6 +144,7 @@ class Validation:
             self.places,
             None if self.blocked is None else self.blocked.entry,
             None if self.images is None else self.images.entry,
+            self.silent,
         )
 
 
@@ -528,15 +532,19 @@ def _pooled(
         words += f"; {len(parts)} of {len(made)} {kind} predicted"
     measured, differences = np.full((2, len(mechanism.compared), len(data)), np.nan)
     terms, inside = np.full((2, len(data)), np.nan)
-    judged = probable = predictives is not None
-    for part, stated in zip(made, predictives or [None] * len(made), strict=True):
+    judged, probable = False, predictives is not None
+    silent: list[FailedPart] = []
+    every = zip(made, predictives or [None] * len(made), strict=True)
+    for number, (part, stated) in enumerate(every, 1):
         if isinstance(part, Failed):
             continue
         measured[:, part.index] = part.measured
         differences[:, part.index] = part.differences
         if stated is None:
-            judged = probable = False
+            probable = False
+            silent.append(FailedPart(number, len(part.index), _SILENT))
             continue
+        judged = True
         inside[part.index] = stated.inside()
         if stated.log_density is None:
             probable = False
@@ -558,6 +566,7 @@ def _pooled(
         inside[predicted] if judged else None,
         _places(whole, data, differences) if predictives is not None else (),
         groups=None if groups is None else groups[predicted],
+        silent=tuple(silent) if judged else (),
     )
 
 

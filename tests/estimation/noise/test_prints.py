@@ -7,12 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.linalg import eigvalsh
 
 import loopcal as lc
 from analyses.cameras_truth import COLUMNS, ROWS, Rig, Shots, poses, rig
 from loopcal.arrays import Array
 from loopcal.estimation.result import FitResult
 from loopcal.mechanisms.terms import Term
+from loopcal.statistics.calibrated import Calibrated
+from loopcal.statistics.printed import Offsets
 
 IMAGES = 20
 
@@ -38,9 +41,13 @@ def _shots(off: Array, number: int = 3) -> Shots:
     return Shots(one, q, q + one.encoder * rng.normal(size=q.shape), uv)
 
 
-def _calibrated(shots: Shots, folder: Path) -> FitResult:
+def _project(shots: Shots, folder: Path) -> lc.InitialProject:
     shots.write(folder, T=shots.rig.flange(shots.read))
-    project = lc.init(folder)
+    return lc.init(folder)
+
+
+def _calibrated(shots: Shots, folder: Path) -> FitResult:
+    project = _project(shots, folder)
     return lc.calibrate(
         project.mechanism, project.dataset, noise=project.noise, method="implicit-loop"
     )
@@ -109,8 +116,63 @@ def test_they_are_those_of_offsets_that_are_free(scattered: tuple[Shots, FitResu
         assert abs(result.value[name] - joint.value[name]) < 2e-6
     poses = {q: v[:5] for q, v in result.dataset.readings.items() if ":" not in q}
     one, other = (_sds(lc.predict(fit, poses)) for fit in (result, joint))
-    # What two points share counts as independent; without the offsets the mean is some 2.0.
-    assert 1.0 < (one / other).mean() < 1.3
+    # Without the offsets the mean is some 2.0.
+    assert (one / other).mean() == pytest.approx(1.0, abs=0.1)
+    every = Calibrated.of(result, "").with_offsets.covariance.matrix
+    place = result.mechanism.parameters.names
+    offsets = np.sqrt([every[place.index(name), place.index(name)] for name in names])
+    np.testing.assert_allclose(offsets, [joint.sd[name] or 0.0 for name in names], rtol=0.15)
+
+
+def test_what_a_file_holds_of_offsets_is_their_covariance(
+    scattered: tuple[Shots, FitResult],
+) -> None:
+    """Given the parameters: the few ways in which all err together, and each point alone."""
+    _, result = scattered
+    prints, entry = result.prints, result.printed
+    assert prints is not None
+    assert prints.sums is not None
+    assert entry is not None
+    names = list(entry.names)
+    used = len(result.estimated) + np.array([prints.layout.names.index(n) for n in names])
+    H = prints.sums[np.ix_(used, used)] + np.diag(1.0 / np.square(entry.prior))
+    offsets = Offsets.of(replace(entry, follow=((),) * len(names)), names, ())
+    shares = eigvalsh(offsets.root @ offsets.root.T, np.linalg.inv(H))
+    assert 0.9 < shares.min() < shares.max() < 1.1
+
+
+def test_images_not_used_lie_in_their_regions(
+    scattered: tuple[Shots, FitResult], tmp_path: Path
+) -> None:
+    project = _project(scattered[0], tmp_path)
+    made = lc.validate(
+        project.mechanism,
+        project.dataset,
+        noise=project.noise,
+        method="implicit-loop",
+        folds=4,
+    )
+    assert made.silent == ()
+    assert made.coverage is not None
+    assert made.coverage.share >= 0.85
+
+
+def test_two_days_of_one_print_agree_in_pixels(
+    scattered: tuple[Shots, FitResult], tmp_path: Path
+) -> None:
+    shots, result = scattered
+    rng = np.random.default_rng([91, 4])
+    q = poses(shots.rig, IMAGES, rng)
+    uv = shots.rig.pixels(shots.rig.flange(q))
+    uv = uv + shots.rig.corner * rng.normal(size=uv.shape)
+    later = Shots(shots.rig, q, q + shots.rig.encoder * rng.normal(size=q.shape), uv)
+    compared = lc.compare(result, _calibrated(later, tmp_path))
+    assert compared.differ is False
+    assert compared.points is not None
+    assert compared.points.inside >= 0.85
+    assert compared.points.unit == "px"
+    assert compared.points.rms < shots.rig.corner
+    assert " px (sd " in compared.verdict()
 
 
 def test_one_point_that_is_elsewhere_is_named_once(tmp_path: Path) -> None:

@@ -45,6 +45,7 @@ from loopcal.mechanisms.terms import Term
 from loopcal.presentation.shown import with_unit
 
 if TYPE_CHECKING:
+    from loopcal.estimation.solve.reduction import Spectrum
     from loopcal.estimation.solve.solution import End
 
 AXES = "xyz"
@@ -62,6 +63,9 @@ _STEP = 1e-5
 where the board is a metre away."""
 _NONE = 19.0
 """Odds that a print has no offsets, as far as the images do not ask for them (0166)."""
+# Chosen, not derived: some six ways are left, which a file can hold.
+_SHARED = 0.02
+"""Ways in which points err together count from this share of what each errs alone."""
 _LINE = 3
 """Fewest points of a row or column whose mean is reported."""
 
@@ -151,8 +155,8 @@ class Prints:
 
     values: (m,); scales: (terms,) sds, 0 of those that the images do not ask for; freedom: how
     many equations they use up; learnt: what the sums say of all terms; sums: (n + m + 1, n + m + 1)
-    of [D O e] of so many equations; covariance: of the offsets that are kept; step: the largest
-    change by the last step, in sds.
+    of [D O e] of so many equations, precision: (n,) of the priors beside it; covariance: of the
+    offsets that are kept; step: the largest change by the last step, in sds.
     """
 
     layout: Layout
@@ -162,6 +166,7 @@ class Prints:
     freedom: float = 0.0
     learnt: TermVariances | None = None
     sums: Array | None = None
+    precision: Array | None = None
     covariance: Array | None = None
     step: float = 0.0
     equations: int = 0
@@ -254,6 +259,7 @@ class Prints:
             freedom=freedom,
             learnt=learnt,
             sums=total,
+            precision=problem.precision,
             covariance=covariance[n:, n:],
             step=step,
             equations=end.equations,
@@ -341,40 +347,72 @@ class Prints:
         n = len(self.sums) - 1 - len(self.index)
         H = self.sums[np.ix_(n + used, n + used)] + np.diag(1.0 / np.square(sds[used]))
         covariance = _inverse(H)
+        U, V = _shared_and_alone(H, covariance, used)
         return PrintedEntry(
             tuple(self.layout.names[i] for i in used),
             tuple(np.sqrt(np.diag(covariance)).tolist()),
-            tuple(map(tuple, (-covariance @ self.sums[n + used, :n]).tolist())),
+            _rows(-covariance @ self.sums[n + used, :n]),
+            _rows(U.T),
+            _rows(V),
+            tuple(sds[used].tolist()),
         )
 
-    def widened(self, problem: Problem) -> Problem:
-        """Images that were not used, with sds of pixels that hold what the offsets leave open: on
-        average as large a share of the variance as that of the equations that they use up."""
-        sd = problem.uncertainty.sd.copy()
-        quantities = problem.mechanism.tape.quantities
-        pixels = {q for f in problem.mechanism.families if f.form == PIXELS for q in f.readings}
-        rows = [i for i, q in enumerate(quantities) if q in pixels]
-        sd[rows] *= np.sqrt(1.0 + self.freedom / max(self.equations, 1))
-        return replace(problem, uncertainty=replace(problem.uncertainty, sd=sd))
-
     def gained(self, root: Array) -> Array | None:
-        """(k, k) what the covariance of z gains by what the offsets leave open, dp = root z."""
+        """(k, k) what the covariance of z gains by what the offsets leave open, dp = root z.
+
+        All from the same sums: offsets take up so much of a shift of their board that sds which
+        differ a little leave less than nothing.
+        """
         sds = self.expected[self.layout.owner]
         used = np.flatnonzero(sds > 0.0)
-        if self.sums is None or not used.size:
+        if self.sums is None or self.precision is None or not used.size:
             return None
         n = len(root)
+        alone = root.T @ (self.sums[:n, :n] + np.diag(self.precision)) @ root
         B = root.T @ self.sums[:n, n + used]
-        S = self.sums[np.ix_(n + used, n + used)]
-        S = S + np.diag(1.0 / np.square(sds[used]))
-        share = B @ np.linalg.solve(S, B.T)
-        k = len(share)
-        return np.asarray(np.linalg.inv(np.eye(k) - 0.5 * (share + share.T)) - np.eye(k))
+        S = self.sums[np.ix_(n + used, n + used)] + np.diag(1.0 / np.square(sds[used]))
+        left = alone - B @ np.linalg.solve(S, B.T)
+        return np.asarray(np.linalg.inv(0.5 * (left + left.T)) - np.linalg.inv(alone))
+
+
+def weighed(prints: Prints | None, system: Spectrum) -> Array:
+    """(n, n) the covariance by which a fit weighed its prior: at the sds that it used, with what
+    the points of prints leave open."""
+    plain, root = system.covariance(), system.root
+    gained = None if prints is None else prints.gained(root)
+    return plain if gained is None else np.asarray(plain + root @ gained @ root.T)
 
 
 def _nominal(problem: Problem) -> Array:
     """(n_all,) of all parameters."""
     return np.array([p.nominal for p in problem.mechanism.parameters])
+
+
+def _rows(matrix: Array) -> tuple[tuple[float, ...], ...]:
+    return tuple(map(tuple, matrix.tolist()))
+
+
+def _shared_and_alone(H: Array, C: Array, used: NDArray[np.intp]) -> tuple[Array, Array]:
+    """U (m, k) and V (m, 3) with C = H^-1 = U U^T + V V^T within each point, nearly.
+
+    Images part a shift, turn or bend of all points from errors of joints by the priors alone: U
+    holds the few ways in which points err together. used: number of each offset, x, y and z by
+    point.
+    """
+    point, axis = used // 3, used % 3
+    same = np.equal.outer(point, point)
+    L = np.linalg.cholesky(np.linalg.inv(np.where(same, H, 0.0)))
+    white = np.linalg.solve(L, np.linalg.solve(L, C).T) - np.eye(len(H))
+    values, vectors = np.linalg.eigh(0.5 * (white + white.T))
+    kept = values > _SHARED
+    U = L @ (vectors[:, kept] * np.sqrt(values[kept]))
+    alone = np.where(same, C - U @ U.T, 0.0)
+    V = np.zeros((len(H), 3))
+    for one in np.unique(point):
+        rows = np.flatnonzero(point == one)
+        values, vectors = np.linalg.eigh(alone[np.ix_(rows, rows)])
+        V[np.ix_(rows, axis[rows])] = vectors * np.sqrt(np.maximum(values, 0.0))
+    return U, V
 
 
 def _inverse(H: Array) -> Array:

@@ -30,6 +30,7 @@ from loopcal.workflow.beginning.images_hand import Describe, Hand, hand_of, stat
 from loopcal.workflow.beginning.images_project import CORNERS, UNEXPLAINED, WRONG, ImagesProject
 from loopcal.workflow.beginning.misfits import LeftOut
 from loopcal.workflow.beginning.searching import CLEARLY, NOTHING, PLAUSIBLE
+from loopcal.workflow.beginning.still_cameras import without_still
 
 USUAL_LENS = "brown5"
 _FEWEST = 3
@@ -119,9 +120,11 @@ def from_images(
         if made is not None:
             return made
         describe = None
+    files, still = without_still(files)
     project, turned = understood(files, hand_of(files.poses, describe, joints, folder))
     remarks = (
         *files.remarks,
+        *still,
         *project.hand.remarks,
         *project.left_out,
         *turned,

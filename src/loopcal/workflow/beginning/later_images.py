@@ -22,6 +22,7 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.workflow.beginning.from_images import named, understood
 from loopcal.workflow.beginning.images_hand import Hand, hand_of
 from loopcal.workflow.beginning.images_project import doubts, word
+from loopcal.workflow.beginning.still_cameras import without_still
 
 SAME = 1e-4
 """Points of one board differ by less than this share of it: files round."""
@@ -38,7 +39,7 @@ def later_images(
     """
     cameras = cameras_of(mechanism)
     usual = {one.board.name: one.board for one in cameras}
-    files = read_files(entries, usual)
+    files, _ = without_still(read_files(entries, usual))
     for name in files.corners.boards:
         board = named(files.boards, name)
         refuse_another(replace(board, name=word(name, "board")), usual, whole=True)
