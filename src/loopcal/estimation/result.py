@@ -181,10 +181,9 @@ class FitResult:
         """Of stated poses, for those far from these; None without, and of least squares."""
         if self.pose_part is None or self.learnt is None or self.learnt.alike is None:
             return None
-        factor = self._variance_factor if self.variance_factor_applied else None
-        if (smooth := self.learnt.alike.smooth) is None:
-            return None
-        return replace(smooth, variances=tuple((factor or 1.0) * v for v in smooth.variances))
+        factor = (self._variance_factor if self.variance_factor_applied else None) or 1.0
+        smooth = self.learnt.alike.smooth
+        return smooth and replace(smooth, variances=tuple(factor * v for v in smooth.variances))
 
     def covariance_through(self, S: Array, drifting: Drifting | None) -> LearntCovariance:
         """Of S (N, m, n) times the estimated parameters, under a known drift, or without any, for
