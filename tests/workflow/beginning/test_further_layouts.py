@@ -412,6 +412,37 @@ def test_a_later_day_may_have_points_in_place_of_range_and_angles(
             assert np.allclose(read[name], values, atol=1e-8)
 
 
+def two_stations(folder: Path) -> tuple[World, lc.InitialProject]:
+    world = World("six", 13)
+    described(world, folder)
+    even = np.arange(len(world.points)) % 2 == 0
+    seen = np.where(even[:, None], world.points, world.elsewhere)
+    where = {"Station": ["S1" if one else "S2" for one in even]}
+    written(folder / "first.csv", {**where, **joints(world), **xyz("{} [mm]", seen)}, digits=9)
+    return world, lc.init(folder / "first.csv", dh=folder / "dh.csv")
+
+
+@pytest.mark.parametrize("where", [None, "S1", "S7"])
+def test_a_later_day_of_one_station_is_of_any_of_two(tmp_path: Path, where: str | None) -> None:
+    """The instrument stands anew: without the column, or with a label of that day."""
+    world, project = two_stations(tmp_path)
+    later = {} if where is None else {"Station": [where] * len(world.points)}
+    written(tmp_path / "b.csv", {**later, **joints(world), **xyz("{} [mm]", world.points)})
+    read = new_readings(tmp_path / "b.csv", project.inputs, project.mechanism, whole=True)
+    assert np.allclose(read["x_1"], world.points[:, 0], atol=1e-6)
+    assert np.isnan(read["x_2"]).all()
+
+
+def test_labels_of_which_some_are_of_the_first_day_are_not_taken_for_others(
+    tmp_path: Path,
+) -> None:
+    world, project = two_stations(tmp_path)
+    labels = ["S2", "S3"] * (len(world.points) // 2)
+    written(tmp_path / "b.csv", {"Station": labels, **joints(world), **xyz("{}", world.points)})
+    with refused("unknown-name", "row 2 of the readings is of station 'S3'"):
+        new_readings(tmp_path / "b.csv", project.inputs, project.mechanism, whole=True)
+
+
 def test_legs_that_no_platform_has_are_refused(tmp_path: Path) -> None:
     """Where the loops close nowhere no trial of signs has a body to compare with."""
     rng = np.random.default_rng(3)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.errors import InputError, listed
@@ -27,6 +28,7 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.datasheet import rounding_sd
 from loopcal.units import to_si, unit
 
+Rows = NDArray[np.bool_]
 _OF = " of "
 """Between the header of a column and the label of its station or target, in rows of their own."""
 
@@ -194,11 +196,13 @@ def converted(fields: Fields, table: SourceTable, quantities: Set[str]) -> Datas
             readings[name] = Reading(
                 to_si(field.values, unit_name), unit(unit_name).si, field, unit_name
             )
-    stations = _needed(fields, table.stations) if table.stations is not None else None
-    if stations is not None:
-        _refuse_other_stations(stations, table)
+    stations = {} if table.stations is None else _stations(fields, table)
     wanted = [one for one in table.instrument if not quantities.isdisjoint(one.readings)]
-    absent = [one for one in wanted if _is_absent(fields, one, table)]
+    absent = [
+        one
+        for one in wanted
+        if _is_absent(fields, one, table) or not np.any(stations.get(one.station or "", True))
+    ]
     for one in wanted:
         if one in absent and len(absent) < len(wanted):
             unread = np.full(len(fields.poses), np.nan)
@@ -226,8 +230,8 @@ def _is_absent(fields: Fields, one: SourceInstrument, table: SourceTable) -> boo
     return len(others) < len(one.columns)
 
 
-def _meaning(fields: Fields, one: SourceInstrument, stations: Field | None) -> Meaning:
-    """An instrument of the table, with the columns of these files."""
+def _meaning(fields: Fields, one: SourceInstrument, stations: Mapping[str, Rows]) -> Meaning:
+    """An instrument of the table, with the columns of these files; stations: the rows of each."""
     position = [_needed(fields, column) for column in one.columns]
     turned = tuple(_needed(fields, column) for column in one.turns)
     if len(position) == 1:
@@ -248,9 +252,8 @@ def _meaning(fields: Fields, one: SourceInstrument, stations: Field | None) -> M
         for f in sds
     )
     seen = Seen(kind, placed, turned, form, sds if len(sds) == len(one.sd) else ())
-    if one.station is not None and stations is not None:
-        rows = np.array([stations.words(v) == one.station for v in stations.values])
-        seen = at_station(seen, rows, one.station)
+    if one.station is not None and one.station in stations:
+        seen = at_station(seen, stations[one.station], one.station)
     angle = one.angle or "rad"
     if turned and turned[0].unit and one.angle:
         angle = turned[0].unit
@@ -294,14 +297,28 @@ def _needed(fields: Fields, key: str | int) -> Field:
     return column
 
 
-def _refuse_other_stations(stations: Field, table: SourceTable) -> None:
-    """Raise InputError for rows of a station that the calibration does not know."""
-    named = {one.station for one in table.instrument if one.station}
-    for row, value in enumerate(stations.values, 1):
-        if stations.words(value) not in named:
-            raise InputError(
-                f"row {row} of the readings is of station {stations.words(value)!r} in the column "
-                f"{stations.label!r}, and the calibration has {listed(sorted(named))}",
-                code="unknown-name",
-                remedy="correct the label, or remove these rows",
-            )
+def _stations(fields: Fields, table: SourceTable) -> dict[str, Rows]:
+    """By station of the table, which rows are of it.
+
+    It stands anew on another day: rows that state no station are of the first, and labels that are
+    all new are of the first ones in their order. Raises InputError for other labels.
+    """
+    named = list(dict.fromkeys(one.station for one in table.instrument if one.station))
+    assert table.stations is not None
+    column = _column(fields, table.stations)
+    if column is None:
+        labels = named[:1] * len(fields.poses)
+    else:
+        labels = [column.words(value) for value in column.values]
+    new = [label for label in dict.fromkeys(labels) if label not in named]
+    if len(new) == len({*labels}) <= len(named):
+        renamed = dict(zip(new, named, strict=False))
+        labels = [renamed[label] for label in labels]
+    elif new and column is not None:
+        raise InputError(
+            f"row {labels.index(new[0]) + 1} of the readings is of station {new[0]!r} in the "
+            f"column {column.label!r}, and the calibration has {listed(sorted(named))}",
+            code="unknown-name",
+            remedy="correct the label, remove these rows, or give each station a file of its own",
+        )
+    return {name: np.array([label == name for label in labels]) for name in named}
