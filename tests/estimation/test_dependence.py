@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -10,16 +11,19 @@ import pytest
 from numpy.typing import NDArray
 
 import loopcal as lc
+from analyses.machines import LINEAR_DELTA
 from loopcal.chi_squared import quantile
 from loopcal.estimation.dependence import serial
 from loopcal.estimation.dependence.dependence import in_order, likeness, near
-from loopcal.estimation.dependence.seen import Seen
+from loopcal.estimation.dependence.seen import Seen, instruments
 from loopcal.estimation.dependence.serial import Drift, Whole, _criterion, learnt_drift
 from loopcal.estimation.fit_document import fit_document
 from loopcal.estimation.prediction import predict_outputs
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.execution.forked import Forked
+from loopcal.mechanisms.instruments.point import point
+from loopcal.mechanisms.parallel.delta import linear_delta
 
 Array = NDArray[np.float64]
 SDS = {"phi2": 1e-4, "phi3": 1e-4, "xP": 1e-4, "yP": 1e-4}
@@ -351,3 +355,19 @@ def test_residuals_that_are_rounding_are_not_tested() -> None:
     assert result.chi_squared.value < 1e-12
     tested = result.dependence.instruments if result.dependence is not None else ()
     assert all(one.serial is None and one.spatial is None for one in tested)
+
+
+def test_a_station_from_which_nothing_was_measured_is_no_instrument_of_the_day() -> None:
+    """On a later day only one of two trackers may be there."""
+    stations = [
+        point(f"p{i}", readings=tuple(f"{axis}{i}" for axis in "xyz"), station=f"s{i}", target="t")
+        for i in (1, 2)
+    ]
+    mechanism = lc.assemble(linear_delta(), stations)
+    driven = lc.random_poses(LINEAR_DELTA, 30, seed=1)
+    noise = lc.Noise({"slide_*": 1e-5, "[xyz]?": 2e-5, "platform_*": math.inf})
+    data = lc.simulate(mechanism, driven, noise=noise, seed=2).dataset
+    alone = {name: np.nan * v if name[1:] == "2" else v for name, v in data.readings.items()}
+    for readings, names in ((data.readings, ["p1", "p2"]), (alone, ["p1"])):
+        made = lc.calibrate(mechanism, lc.Dataset(readings), noise=noise, method="implicit-loop")
+        assert [family.name for family in instruments(made.problem)] == names

@@ -43,11 +43,14 @@ class Seen:
 
 
 def instruments(problem: Problem) -> tuple[Family, ...]:
-    """The instruments whose readings may depend on each other; the whole loop without any."""
+    """The instruments that read some pose, whose readings may depend on each other; the whole loop
+    without any."""
     mechanism = problem.mechanism
+    sd = np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)
+    read = dict(zip(mechanism.tape.quantities, np.isfinite(sd).any(axis=1), strict=True))
     families = tuple(f for f in mechanism.families if f.form != "closure")
     if families:
-        return families
+        return tuple(f for f in families if any(read[q] for q in f.readings))
     readings = mechanism.outputs or mechanism.tape.quantities
     return (Family(mechanism.name, mechanism.tape.loops, tuple(readings)),)
 
