@@ -390,6 +390,17 @@ def test_points_that_were_not_read_again_are_named(tmp_path: Path, arm: Any) -> 
     assert caught.value.options == ("--exclude", "8,13,32")
 
 
+def test_points_that_were_not_read_again_are_named_of_all_stations_at_once(
+    tmp_path: Path, arm: Any
+) -> None:
+    joints, points = (values[:40].copy() for values in arm)
+    points[[7, 31]] = points[[6, 30]]
+    where = {"Station": np.repeat([1.0, 2.0], 20)}
+    with refused("implausible-readings", "2 of 40", "not read again") as caught:
+        lc.init({**of(joints, NAMES), **of(points, "xyz"), **where}, dh=dh(tmp_path))
+    assert caught.value.options == ("--exclude", "8,32")
+
+
 def test_a_tip_that_the_arm_turns_about_was_read_each_time(tmp_path: Path, arm: Any) -> None:
     """The wrist turns about the reflector, and readings of 0.1 mm repeat."""
     joints, points = (values[:40].copy() for values in arm)

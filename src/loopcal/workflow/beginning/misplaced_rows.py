@@ -13,7 +13,7 @@ from loopcal.arrays import Array
 from loopcal.errors import InputError, listed
 from loopcal.estimation.mounted import Bodies, exchanged_targets, see_points, two_targets
 from loopcal.estimation.problem.alignment import align
-from loopcal.files.recognition.fields import names_of
+from loopcal.files.recognition.fields import Field, names_of
 from loopcal.files.recognition.meanings import Meaning
 from loopcal.presentation.shown import significant, with_unit
 from loopcal.workflow.beginning.searching import CLEARLY, Understood
@@ -35,24 +35,29 @@ def held_readings(way: Understood, poses: Sequence[str]) -> InputError | None:
     """The refusal of rows in which points stay to the last digit while the machine moves; None
     where there are none, or where the machine turns about the point, as about the tip of a tool.
     Joints that stay are no fault: two targets may be seen in one pose."""
+    rows: set[int] = set()
+    read: dict[str, Field] = {}
     for meaning in way.seen:
         points = meaning.position
         if points.ndim < 2 or len(points) < 2:
             continue
         stays = (np.diff(points, axis=0) == 0.0).all(axis=1)
         moves = np.linalg.norm(np.diff(way.bodies.origins, axis=0), axis=1) > ONE_POSE
-        rows = np.flatnonzero(stays & moves) + 1
-        if 0 < len(rows) <= _MOST_HELD * len(points) and not _about_a_point(way.bodies, rows):
-            held = [poses[i] for i in rows.tolist()]
-            error = InputError(
-                f"{names_of(meaning.seen.position)} repeat the row before to the last digit in "
-                f"{len(held)} of {len(points)} poses, although the joints moved the machine "
-                f"({listed(held, 5)}): the instrument was not read again",
-                code="implausible-readings",
-                remedy="leave these poses out, or correct their rows",
-            )
-            return error.offering("--exclude", ",".join(held))
-    return None
+        some = np.flatnonzero(stays & moves) + 1
+        if 0 < len(some) <= _MOST_HELD * len(points) and not _about_a_point(way.bodies, some):
+            rows |= {*some.tolist()}
+            read |= {field.label: field for field in meaning.seen.position}
+    if not rows:
+        return None
+    held = [poses[i] for i in sorted(rows)]
+    error = InputError(
+        f"{names_of([*read.values()])} repeat the row before to the last digit in "
+        f"{len(held)} of {len(poses)} poses, although the joints moved the machine "
+        f"({listed(held, 5)}): the instrument was not read again",
+        code="implausible-readings",
+        remedy="leave these poses out, or correct their rows",
+    )
+    return error.offering("--exclude", ",".join(held))
 
 
 # Rows of two tools or reflectors under one name, or each under the name of the other.
