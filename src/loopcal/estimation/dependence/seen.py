@@ -47,10 +47,12 @@ def instruments(problem: Problem) -> tuple[Family, ...]:
     without any."""
     mechanism = problem.mechanism
     sd = np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)
-    read = dict(zip(mechanism.tape.quantities, np.isfinite(sd).any(axis=1), strict=True))
+    read = {
+        q for q, row in zip(mechanism.tape.quantities, sd, strict=True) if np.isfinite(row).any()
+    }
     families = tuple(f for f in mechanism.families if f.form != "closure")
     if families:
-        return tuple(f for f in families if any(read[q] for q in f.readings))
+        return tuple(f for f in families if not read.isdisjoint(f.readings))
     readings = mechanism.outputs or mechanism.tape.quantities
     return (Family(mechanism.name, mechanism.tape.loops, tuple(readings)),)
 
