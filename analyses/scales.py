@@ -37,8 +37,11 @@ SCALES, LARGE = (0.0, 20e-6, 100e-6), (0.0, 1e-3, 5e-3)
 """Of trackers, and of instruments whose scale is a guess."""
 
 
-def begun(number: int | Machine, stations: int, scale: float = 0.0) -> OrderedSystem:
-    """The equations of a calibration; scale: by which the second half of its readings differs."""
+def begun(
+    number: int | Machine, stations: int, scale: float = 0.0, ratio: float = 1.0, joint: int = 3
+) -> OrderedSystem:
+    """The equations of a calibration; scale: by which the second half of its readings differs;
+    ratio: the true angles of this joint over what is read."""
     user = machine(number) if isinstance(number, int) else number
     user = replace(user, stations=stations, described="dh", order="random", poses=POSES)
     with tempfile.TemporaryDirectory() as name, warnings.catch_warnings():
@@ -48,6 +51,7 @@ def begun(number: int | Machine, stations: int, scale: float = 0.0) -> OrderedSy
         conditions = user.placed(user.conditions(POSES), rng, stations)
         joints, points = user.measured(q, conditions, rng)
         points[POSES // 2 :] *= 1.0 + scale
+        joints[:, joint] /= ratio
         write_readings(folder / "a.csv", user, joints, points, user.columns(conditions))
         user.description(folder)
         made = lc.init(folder / "a.csv", dh=folder / "dh.csv")

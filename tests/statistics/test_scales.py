@@ -13,7 +13,7 @@ from analyses.scales import POSES, begun, drawn, lengths_of, within
 from loopcal.statistics.change_points import Search
 from loopcal.statistics.ordered_system import OrderedSystem
 from loopcal.statistics.possible_changes import BETWEEN_DAYS, possible
-from loopcal.statistics.scales import scales
+from loopcal.statistics.scales import joint_scale, scales
 
 PLANTED = 1e-4
 
@@ -41,6 +41,23 @@ def test_a_second_station_that_measures_too_long_is_no_change_along_the_run(numb
     shifts, fit = Search(begun(number, 2, PLANTED)).run()
     assert not shifts.found
     assert scales(fit)[0].p_value < 1e-6
+
+
+@pytest.mark.parametrize("number", [4, 6])
+def test_a_joint_of_another_gear_ratio_is_named_and_gears_out_of_round_are_none(
+    number: int,
+) -> None:
+    """The arms sag; the gears of the second are out of round."""
+    assert joint_scale(begun(number, 1).fitted()) == ()
+    (one,) = joint_scale(begun(number, 1, ratio=1.001, joint=3).fitted())
+    assert (one.joint, one.instruments) == ("theta_4", ())
+    assert abs(one.size - 1e-3) < 4.0 * one.sd < 1e-3
+    assert one.p_value < 1e-6
+    assert one.moves == pytest.approx(one.size * np.radians(90.0), rel=0.5)
+
+
+def test_over_a_small_range_a_gear_out_of_round_looks_like_another_ratio() -> None:
+    assert joint_scale(begun(4, 1, ratio=1.001, joint=1).fitted()) == ()
 
 
 def test_a_slip_at_the_change_of_stations_is_named_beside_their_scales() -> None:

@@ -104,6 +104,7 @@ FINDINGS: dict[str, tuple[str, Any, bool | None]] = {
     ),
     "scales-unlike": ("scales", (ScaleEntry(("point_2",), 1e-4, 1e-5, 1e-9, 1e-3),), None),
     "scale-off-the-drawing": ("scales", (ScaleEntry((), 1e-4, 1e-5, 1e-9, 1e-3),), None),
+    "joint-scale": ("scales", (ScaleEntry((), 2e-3, 1e-4, 1e-9, 1e-3, joint="q4"),), None),
     "range-zero": ("scales", (ScaleEntry(("point",), 2e-3, 1e-4, 1e-9, 1e-3, "m"),), None),
     "observations-conflict": ("conflicts", (ConflictEntry("x", 6e-3, 1e-3, "m", 1e-9),), None),
     "sds-not-converged": ("sds_settled", False, None),

@@ -273,6 +273,12 @@ _ROWS = (
         detail=_MOVES,
     ),
     _sound_open(
+        "joint-scale",
+        "{subject} turns {percent:2} % (sd {sd:2} %) {which} than read, as by another gear ratio.",
+        "Check the ratio, or add the effect scale, and calibrate again.",
+        detail="That is {turned:2} (rms) in the measured poses.",
+    ),
+    _sound_open(
         "sds-contradicted",
         "{contradicted}.",
         "Check the units of the stated sds, or leave them out.",

@@ -134,6 +134,8 @@ class ScaleEntry:
     """Rms distance [m] by which it moves the measured points about their mean."""
     unit: str = "1"
     """"m" of a distance that an instrument reads too long: size and sd are in m then."""
+    joint: str = ""
+    """Whose true angles are 1 + size times what is read; moves is in rad then."""
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ from loopcal.statistics.possible_changes import (
     unit_of,
 )
 from loopcal.statistics.run_order import FOLLOWED, order_by_joints, path_cosines, told_by_joints
-from loopcal.statistics.scales import range_zeros, scale_columns, scales
+from loopcal.statistics.scales import joint_scale, range_zeros, scale_columns, scales
 from loopcal.statistics.unexplained import joint_error
 
 # Chosen, not derived: time and memory of the search.
@@ -151,7 +151,7 @@ def find_shifts(result: FitResult, *, level: float = 0.01, most: int = MOST) -> 
         shifts, fit = Search(ordered_system(result), level).run(most)
         return replace(
             shifts,
-            scales=(*scales(fit), *range_zeros(fit)),
+            scales=(*scales(fit), *range_zeros(fit), *joint_scale(fit)),
             delay=pose_delay(fit),
             joint_error=joint_error(fit, level),
         )

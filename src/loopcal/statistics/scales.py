@@ -21,6 +21,10 @@ A wrong constant of a prism or reflector is a zero of all distances: an instrume
 its frame that reads every distance c too long reads p + c p / |p| instead of p. Its column is
 sum_q (p_q / |p|) C_q. A scale grows with the distance and a shift of the station is alike in all
 directions, so distances and directions that differ separate the three.
+
+A joint with another gear ratio, or another count of lines, has true angles (1 + s) q. Its column
+q c, c that of the zero, stands beside c times cos q, sin q, cos 2q and sin 2q without any prior:
+over a small range a gear out of round looks the same, and then s is not seen.
 """
 
 from __future__ import annotations
@@ -32,6 +36,7 @@ import numpy as np
 
 from loopcal.arrays import Array
 from loopcal.document.findings import ScaleEntry
+from loopcal.estimation.dependence.dependence import joint_rows
 from loopcal.estimation.dependence.seen import instruments
 from loopcal.estimation.problem.problem import Problem
 from loopcal.mechanisms.effects.effect import STATION_SCALES
@@ -46,6 +51,9 @@ _ABSORBED = 1e-10
 # Chosen, not derived: the lengths of two or three links are never so much in proportion.
 _LEFT = 0.01
 """Least share of the squares of lengths that a scale leaves."""
+# Chosen, not derived: less is no scale that anybody would look for.
+_EXPLAINED = 0.1
+"""Least share of the squares that are left, which the scale of a joint explains."""
 _READ = {"point": slice(None), "spherical": slice(1), "polar": slice(1)}
 """By the form of an instrument: those of its readings that change with the distance."""
 
@@ -142,6 +150,30 @@ def range_zeros(fit: Fitted) -> tuple[ScaleEntry, ...]:
             names = tuple(f.name for f in families)
             entries.append(ScaleEntry(names, size, sd, p_value, abs(size) * spread, "m"))
     return tuple(entries)
+
+
+def joint_scale(fit: Fitted) -> tuple[ScaleEntry, ...]:
+    """That of the joint whose angles are likeliest in proportion too large or small, its p-value
+    corrected for the search; none that explains little of what is left."""
+    system, entries = fit.system, []
+    problem = system.problem
+    quantities = problem.mechanism.tape.quantities
+    joints = [
+        i for i in joint_rows(problem) if problem.mechanism.quantities[quantities[i]] == "rad"
+    ]
+    for i in joints:
+        q = problem.readings[i, system.order][:, None, None]
+        zero = system.columns([quantities[i]])
+        waves = zero * np.concatenate([f(m * q) for m in (1, 2) for f in (np.cos, np.sin)], axis=2)
+        every = np.concatenate([waves, zero * q], axis=2)
+        less, more = fit.step(waves, _ABSORBED), fit.step(every, _ABSORBED)
+        gained = more.before(fit.spare) - less.before(fit.spare)
+        if more.rank > less.rank and gained > _EXPLAINED * fit.spare:
+            size, sd = float(more.size[-1]), float(more.sds[-1])
+            p_value = min(1.0, f_tail(gained, 1, math.inf) * len(joints))
+            turned = abs(size) * float(q.std())
+            entries.append(ScaleEntry((), size, sd, p_value, turned, joint=quantities[i]))
+    return tuple(sorted(entries, key=lambda one: one.p_value)[:1])
 
 
 def _zero_column(system: OrderedSystem, families: list[Family]) -> tuple[Array, float]:

@@ -258,7 +258,7 @@ def _unsettled(document: ResultDocument) -> Fact | None:
 def _scales(document: ResultDocument) -> Fact | None:
     """Of stations beside the first, or of what measures beside the drawing; or a zero of distances
     that explains more."""
-    entries = document.scales or ()
+    entries = [one for one in document.scales or () if not one.joint]
     # They share the level (Bonferroni).
     sure = [one for one in entries if one.p_value * len(entries) < RARE]
     if not sure:
@@ -280,6 +280,18 @@ def _scales(document: ResultDocument) -> Fact | None:
         code, subject, other = "scale-off-the-drawing", "the instrument", "the drawing"
     return fact(
         "scale-little-off" if little else code, numbers=numbers, subject=subject, other=other
+    )
+
+
+def _joint_scale(document: ResultDocument) -> Fact | None:
+    """A joint whose angles are in proportion too large or small."""
+    one = next((one for one in document.scales or () if one.joint), None)
+    if one is None or one.p_value >= RARE:
+        return None
+    numbers = {"percent": Figure(100.0 * abs(one.size)), "sd": Figure(100.0 * one.sd)}
+    numbers["turned"] = Figure(one.moves, "rad")
+    return fact(
+        "joint-scale", numbers=numbers, subject=one.joint, which="more" if one.size > 0 else "less"
     )
 
 
@@ -472,6 +484,7 @@ SOUND: tuple[Callable[[ResultDocument], Fact | None], ...] = (
     _model_error,
     off_the_drawing,
     _scales,
+    _joint_scale,
     sds_overruled,
     size_unsure,
     _unsettled,

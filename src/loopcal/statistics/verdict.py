@@ -171,6 +171,7 @@ _BEYOND = (
     "scales-unlike",
     "scale-off-the-drawing",
     "range-zero",
+    "joint-scale",
     "overfitted",
     "observations-conflict",
 )
