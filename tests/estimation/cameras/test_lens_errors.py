@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 import loopcal as lc
 from loopcal.estimation.calibrate import calibrate
+from loopcal.estimation.dependence.lens_errors import _eyes, _Sums
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.fit_document import fit_document
 from loopcal.estimation.result import FitResult
@@ -195,6 +196,26 @@ def test_sds_stay_where_the_model_describes_the_lens() -> None:
         ]
     assert np.median(ratios) < 1.02
     assert np.mean(ratios) < 1.05
+
+
+def test_waves_explain_no_more_of_noise_than_as_many_columns_do() -> None:
+    """Waves at noisy pixels, less a lens at its own, are the noise: they explained all of it."""
+    for seed in range(3):
+        result = calibrated(seed, odd=False).result
+        at = result.solution.parameters, result.solution.corrections
+        eyes = _eyes(result.problem, at[0])
+        sums = _Sums.of(result.problem, *at, eyes)
+        both = np.block([[sums.DD, sums.DZ], [sums.DZ.T, sums.ZZ]])
+        rows, n = np.concatenate([sums.DE, sums.ZE]), len(sums.DE)
+        scale = 1.0 / np.sqrt(np.diag(both))
+        all_of_it, by_lens = (
+            (scale * rows)[part]
+            @ np.linalg.pinv((both * scale * scale[:, None])[part, part], 1e-12, hermitian=True)
+            @ (scale * rows)[part]
+            for part in (slice(None), slice(n))
+        )
+        columns = sums.ZZ.shape[0]
+        assert all_of_it - by_lens < columns + 5.0 * np.sqrt(2.0 * columns)
 
 
 def test_halves_of_the_images_share_what_no_model_describes(draws: list[Draw]) -> None:

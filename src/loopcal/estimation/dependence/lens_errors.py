@@ -10,9 +10,11 @@ the mean square of what is left. All corners of all images share b:
 
     E = D dp + Z b + v,   Z = T F - D_lens c,
 
-F the waves where the corners are, T the whitening, c the best lens of each wave. The estimate
-stays. In directions z with D^T D + P = I its covariance gains t A L A^T, A = D^T Z. The images show
-t and l: by C = Z^T Z - A^T A and g = Z^T E - A^T (D^T E), with s the variance of v,
+F the waves where the lens puts the corners, T the whitening, c the best lens of each wave. (Waves
+where the corners were read, less a lens that says where they are, are noise: they would explain E
+by itself.) The estimate stays. In directions z with D^T D + P = I its covariance gains t A L A^T,
+A = D^T Z. The images show t and l: by C = Z^T Z - A^T A and g = Z^T E - A^T (D^T E), with s the
+variance of v,
 
     -2 log = nu log s + log |I + r L C| + (|E|^2 - r g^T (L^-1 + r C)^-1 g) / s,   t = r s,
 
@@ -94,7 +96,8 @@ class LensErrors:
 
 
 class _Learnt(NamedTuple):
-    """spectrum: (w,) the mean of t L; rms [px]: of the likeliest field; gain: of -2 log."""
+    """spectrum: (w,) the mean of t L; rms [px]: of the mean field, where there is one; gain: of -2
+    log."""
 
     spectrum: Array
     rms: float
@@ -207,13 +210,13 @@ def _learnt(eye: _Eye, C: Array, g: Array, noise: tuple[float, int, float]) -> _
             criteria.append(freedom * math.log(s) + float(np.log1p(r * values).sum()))
             fields.append(basis @ (share * along))
             sizes.append(r * s)
-    least, b = min(criteria), np.array(fields)
+    least = min(criteria)
     gain = freedom * math.log(square / freedom) - least
     weights = np.exp(-0.5 * (np.array(criteria) - least))
+    mean = weights @ np.array(fields) / weights.sum()
     weights /= weights.sum() + _NONE * len(weights) * math.exp(-0.5 * gain)
     shares = (weights * np.array(sizes)).reshape(len(_LENGTHS), -1).sum(axis=1)
-    likeliest = b[int(np.argmin(criteria))]
-    rms = math.sqrt(max(float(likeliest @ eye.seen @ likeliest), 0.0))
+    rms = math.sqrt(max(float(mean @ eye.seen @ mean), 0.0))
     return _Learnt(np.asarray(shares @ np.array(spectra)), rms, gain)
 
 
@@ -244,11 +247,13 @@ class _Sums:
             values = sweeper.loop_values(pattern, block)
             turned = TurnedImages.of(values, block, exact=sweeper.alike)
             place = {int(q): i for i, q in enumerate(block.noise.predicted)}
+            # Where the lens puts them: waves of noisy pixels, less those of the lens, are noise.
+            at_lens = uv[:, block.poses] + block.corrections
             moved, start = np.zeros((w, *turned.slope.shape)), 0
             for i, eye in enumerate(eyes):
                 rows = [r for r in eye.rows.reshape(-1, 2).tolist() if r[0] in place]
                 if rows:
-                    F = eye.waves(*(uv[[r[j] for r in rows]][:, block.poses] for j in (0, 1)))
+                    F = eye.waves(*(at_lens[[r[j] for r in rows]] for j in (0, 1)))
                     for j in (0, 1):
                         at = [place[r[j]] for r in rows]
                         first = start + j * len(F)
