@@ -165,9 +165,8 @@ class FitResult:
 
     @cached_property
     def pose_part(self) -> Array | None:
-        """(n, n) what `covariance` gains by errors that stated poses share with their neighbours,
-        or joints where they stand alike. Other poses of the same robot share them too: predictions
-        leave it out. None without any."""
+        """(n, n) what `covariance` gains by errors that near poses share, or joints that stand
+        alike; None without any. Predictions leave it out: other poses share them too."""
         if self._smooth_part is not None:
             return self._smooth_part.part
         if self.drifting is not None or self.learnt is None or self.learnt.alike is None:
@@ -186,8 +185,7 @@ class FitResult:
         return smooth and replace(smooth, variances=tuple(factor * v for v in smooth.variances))
 
     def covariance_through(self, S: Array, drifting: Drifting | None) -> LearntCovariance:
-        """Of S (N, m, n) times the estimated parameters, under a known drift, or without any, for
-        predictions: without `pose_part`."""
+        """For predictions, without `pose_part`: of S (N, m, n) times the estimate, with a drift."""
         if drifting is not None:
             under_drift = covariance_under(
                 drifting, self.problem, self.solution, self.pose_equations()
@@ -354,8 +352,10 @@ class FitResult:
     @cached_property
     def terms(self) -> tuple[TermEntry, ...]:
         """What was learnt of each term of the mechanism; empty where nothing was."""
-        if self.inherited is not None or self.estimate is None:
-            return () if self.inherited is None else self.inherited.terms
+        if self.inherited is not None:
+            return self.inherited.terms
+        if self.estimate is None:
+            return ()
         learnt, prints = self.estimate.variances.terms, self.estimate.prints
         terms = () if learnt is None else term_entries(self.mechanism, learnt)
         return terms if prints is None else (*terms, *prints.entries(self.mechanism))

@@ -4,9 +4,9 @@ Linearised where the readings stand, the misclosure of a pose has the covariance
 
     W + J_p Cov_p J_p^T,   W = J_x Sigma J_x^T,
 
-the noise of its own readings and what the fit does not know of its parameters, with the offsets of
-the points of a print among these (`printed`). Least squares
-knows no Sigma; its residual variance, the same for every loop equation, stands for W.
+W the noise of the readings, Cov_p the uncertainty of the fitted parameters. Offsets of printed
+points count as parameters (`printed`). Least squares knows no Sigma; its residual variance, the
+same for every loop equation, stands for W.
 
 The covariance of poses that a fit has not seen, but whose run it has.
 

@@ -319,6 +319,6 @@ def _stations(fields: Fields, table: SourceTable) -> dict[str, Rows]:
             f"row {labels.index(new[0]) + 1} of the readings is of station {new[0]!r} in the "
             f"column {column.label!r}, and the calibration has {listed(sorted(named))}",
             code="unknown-name",
-            remedy="correct the label, remove these rows, or give each station a file of its own",
+            remedy="correct the label, or write each station to a separate file",
         )
     return {name: np.array([label == name for label in labels]) for name in named}
