@@ -96,6 +96,16 @@ def test_a_machine_that_grew_is_followed_with_honest_sds(draw: int) -> None:
     assert off < 0.6 * error(first)[0]
     assert off < 1.2 * stated
     assert any("The update estimates the scale of the machine" in w for w in updated.warnings)
+    # The same readings are those of a machine as it was, by an instrument whose scale changed.
+    true = made.fresh.true
+    off, stated = error(updated)
+    assert off < 1.5 * stated
+    verdict = updated.verdict
+    assert verdict is not None
+    sound = verdict.sound
+    assert (sound.code, sound.passed) == ("scale-since", None)
+    (scale,) = updated.document.scales or ()
+    assert scale.size == pytest.approx(2e-4, rel=0.2)
 
 
 def test_learnt_sds_of_outputs_count_where_an_update_learnt_them() -> None:

@@ -42,7 +42,7 @@ from loopcal.document.findings import (
     Undetermined,
 )
 from loopcal.document.fit import ChiSquared, ParameterEntry
-from loopcal.document.result_document import CoarseReadings, ResultDocument
+from loopcal.document.result_document import UPDATED, CoarseReadings, ResultDocument
 from loopcal.document.verdict import UNASKED, Fact, Figure, Finding, Named, Row, Where
 from loopcal.mechanisms.limits import joint_limits
 from loopcal.mechanisms.parameters import Role
@@ -77,6 +77,18 @@ def changed(value: Any, path: str, new: Any) -> Any:
     return replace(value, **{name: changed(getattr(value, name), rest, new) if rest else new})
 
 
+def at_fault(code: str) -> ResultDocument:
+    """The clean document with what leads to this finding."""
+    path, value, _ = FINDINGS[code]
+    # least squares is tested where it predicted poses not used
+    begun = changed(clean(), "validation", None) if code == "untested" else clean()
+    if code == "overfitted":  # stated regions contain what few poses leave open
+        begun = changed(clean(), "validation.coverage", None)
+    if code == "scale-since":
+        begun = changed(clean(), "method_label", UPDATED)
+    return changed(begun, path, value)
+
+
 def likeness(p: float) -> Likeness:
     return Likeness(0.8, p)
 
@@ -104,6 +116,7 @@ FINDINGS: dict[str, tuple[str, Any, bool | None]] = {
     ),
     "scales-unlike": ("scales", (ScaleEntry(("point_2",), 1e-4, 1e-5, 1e-9, 1e-3),), None),
     "scale-off-the-drawing": ("scales", (ScaleEntry((), 1e-4, 1e-5, 1e-9, 1e-3),), None),
+    "scale-since": ("scales", (ScaleEntry((), 1e-4, 1e-5, 1e-9, 1e-3),), None),
     "joint-scale": ("scales", (ScaleEntry((), 2e-3, 1e-4, 1e-9, 1e-3, joint="q4"),), None),
     "range-zero": ("scales", (ScaleEntry(("point",), 2e-3, 1e-4, 1e-9, 1e-3, "m"),), None),
     "observations-conflict": ("conflicts", (ConflictEntry("x", 6e-3, 1e-3, "m", 1e-9),), None),
@@ -140,12 +153,8 @@ def test_clean_data_are_sound_valid_and_better_than_the_drawing() -> None:
 
 @pytest.mark.parametrize("code", FINDINGS)
 def test_every_finding_has_its_answer(code: str) -> None:
-    path, value, passed = FINDINGS[code]
-    # least squares is tested where it predicted poses not used
-    begun = changed(clean(), "validation", None) if code == "untested" else clean()
-    if code == "overfitted":  # stated regions contain what few poses leave open
-        begun = changed(clean(), "validation.coverage", None)
-    found = verdict_of(changed(begun, path, value))
+    passed = FINDINGS[code][2]
+    found = verdict_of(at_fault(code))
     assert found.sound.code == code
     assert found.sound.passed is passed
     assert found.sound.next
@@ -958,7 +967,7 @@ def test_a_printed_result_begins_with_its_headline_and_the_four_answers(tmp_path
 
 @pytest.mark.parametrize("code", FINDINGS)
 def test_every_answer_follows_from_the_findings_alone(code: str) -> None:
-    made = judged(changed(clean(), *FINDINGS[code][:2]), tolerance=1e-3)
+    made = judged(at_fault(code), tolerance=1e-3)
     assert made.verdict is not None
     order = ["refuse", "caution", "info"]
     ranks = [order.index(one.severity) for one in made.findings]

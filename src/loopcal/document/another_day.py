@@ -10,6 +10,7 @@ from loopcal.document.verdict import Row
 _VERIFY = "loopcal verify {result} {readings}"
 _PAGE, _PLAN = f"{_VERIFY} --out verification.html", "loopcal plan {project}"
 _UPDATE = "loopcal update {result} {readings}"
+_REPORT = "loopcal report {result}"
 _NOT_AS_CALIBRATED = "The machine is not as calibrated: {changes}."
 _not_consistent = partial(Row, "consistent", "refuse")
 _consistent_open = partial(Row, "consistent", "caution")
@@ -152,7 +153,18 @@ ANOTHER_DAY = (
         _NOT_AS_CALIBRATED,
         "Let machine and instrument reach the temperature of the calibration, then verify again.",
         _VERIFY,
+        detail="Another scale of the instrument looks the same.",
         shared="changed",
+    ),
+    Row(
+        "sound",
+        "caution",
+        "scale-since",
+        "The scale of the machine or that of its instrument changed by {ppm:2} ppm "
+        "(sd {sd:2} ppm) since the calibration: these poses do not show which.",
+        "Check the instrument with a scale bar. If it is off, use the calibration as it was.",
+        _REPORT,
+        detail="That moves the points by {moves:2} (rms); the stated sds allow for either.",
     ),
     _not_consistent(
         "errors-larger",

@@ -475,7 +475,8 @@ class Parts:
     of the images; change_points, discarded: what it modelled, and the outliers that it left out;
     shifts: what it saw along the run where it modelled nothing;
     intervals: profile intervals by parameter; tolerance [SI], region: what the verdict judges;
-    files: names of project and result, for command lines; None where there are no names.
+    files: names of project and result, for command lines; None where there are no names;
+    scales: those that an update follows.
     """
 
     title: str | None = None
@@ -498,3 +499,4 @@ class Parts:
     tolerance: float | None = None
     region: Mapping[str, tuple[float, float]] | None = None
     files: Mapping[str, str] | None = None
+    scales: tuple[ScaleEntry, ...] = ()

@@ -27,6 +27,7 @@ def calibration_document(fit: ResultDocument, parts: Parts) -> ResultDocument:
         models=parts.models,
         change_points=parts.change_points,
         outliers=parts.discarded or None,
+        scales=parts.scales or None,
         warnings=(
             *parts.about_readings,
             *fit.warnings,
@@ -68,7 +69,7 @@ def with_findings(document: ResultDocument, findings: Findings) -> ResultDocumen
         reliability=None if reliability is None else reliability.entry,
         column_faults=findings.outliers.columns,
         other_optima=findings.optima,
-        scales=findings.shifts.scales or None,
+        scales=(*(document.scales or ()), *findings.shifts.scales) or None,
         delay=findings.shifts.delay,
         joint_error=findings.shifts.joint_error,
         conflicts=findings.conflicts or None,

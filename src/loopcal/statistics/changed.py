@@ -166,8 +166,9 @@ class Change:
         if self.kind == "load" and self.unit != "kg":
             return f"{self.where} {verb}"
         half = 0.5 * (self.high - self.low)
-        if self.parts and half >= abs(self.value):
-            # A part that these poses do not show is as large as the sum of those that they show.
+        if half >= abs(self.value):
+            # A part that these poses do not show is as large as the sum of those that they show; a
+            # load is only known beside what it weighs on.
             return f"{self.where} {verb}, by a size that these poses do not determine"
         if self.unit == "1":
             value, sure = (significant(1e6 * one, 3) for one in (self.value, half))

@@ -113,7 +113,7 @@ def _spread(problem: Problem, families: list[Family]) -> float:
         rows = [problem.mechanism.tape.quantities.index(q) for q in names]
         read = [r[np.isfinite(r)] for r in problem.readings[rows]]
         squares.append(float(sum(np.var(r) for r in read if r.size)))
-    return math.sqrt(max(squares))
+    return math.sqrt(max(squares, default=0.0))
 
 
 def _entry(
@@ -132,6 +132,12 @@ def _entry(
         freedom = (k - 1.0) / max(share, 1e-9) ** 2
     p_value = f_tail(square, 1, freedom)
     return ScaleEntry(tuple(names), size, sd, p_value, abs(size) * spread)
+
+
+def scale_of_all(problem: Problem, size: float, sd: float) -> ScaleEntry:
+    """The scale of all that is measured beside an earlier calibration, of this size and sd."""
+    p_value = f_tail((size / sd) ** 2, 1, math.inf)
+    return ScaleEntry((), size, sd, p_value, abs(size) * _spread(problem, [*instruments(problem)]))
 
 
 def range_zeros(fit: Fitted) -> tuple[ScaleEntry, ...]:

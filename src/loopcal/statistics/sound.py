@@ -277,6 +277,8 @@ def _scales(document: ResultDocument) -> Fact | None:
     code, other = "scales-modelled" if modelled else "scales-unlike", "the first station"
     subject = ", ".join(map(repr, worst.instruments))
     if not subject:
+        if document.updated:
+            return fact("scale-since", numbers=numbers)
         code, subject, other = "scale-off-the-drawing", "the instrument", "the drawing"
     return fact(
         "scale-little-off" if little else code, numbers=numbers, subject=subject, other=other

@@ -83,12 +83,13 @@ class Allowance:
 
     drift: (n_all, k) steps [SI] of one sd of each independent change; check: whether the readings
     are of the calibrated machine after it; words: a remark on each change that the check found and
-    the update follows.
+    the update follows; grown: (n_all,) of a scale that is followed, per unit; None without one.
     """
 
     drift: Array
     check: Verification
     words: tuple[str, ...] = ()
+    grown: Array | None = None
 
     @property
     def consistent(self) -> bool:
@@ -133,7 +134,8 @@ def allowed(calibrated: Calibrated, data: Dataset, since: Since, noise: Noise | 
         columns = drifting.halfway(moved).columns(sds)
         wider = checked(np.hstack([allowance.drift, columns]), moved)
         words = tuple(followed_words(change, sds) for change in changes)
-        return replace(wider, words=words) if wider.explained else allowance
+        wider = replace(wider, words=words, grown=drifting.grown(sds))
+        return wider if wider.explained else allowance
 
     every = checked(drifting.columns(drifting.stated(since.drift)))
     roles = {key: sd for key, sd in since.drift.items() if key in DRIFTING}
@@ -247,6 +249,14 @@ class Drifting:
         size = len(self.calibrated.mechanism.parameters)
         columns = [sd * self._steps[name] for name, sd in sds.items() if sd > 0.0]
         return np.array(columns).reshape(-1, size).T
+
+    def grown(self, followed: Container[str]) -> Array | None:
+        """(n_all,) what the scale of all that is measured changes, per unit, where it is followed:
+        another scale of the instrument does the same."""
+        if EXPANSION not in followed:
+            return None
+        mounted = self._steps.get(_TOOLS)
+        return self._steps[EXPANSION] + (0.0 if mounted is None else mounted)
 
     @property
     def zeros(self) -> dict[str, Array]:

@@ -36,6 +36,7 @@ from numpy.typing import NDArray
 from loopcal.arrays import Array
 from loopcal.companions.life.drift import CONDITIONS, Since, allowed, drift_of_conditions
 from loopcal.companions.life.earlier import Around, Earlier, Sloped
+from loopcal.document.findings import ScaleEntry
 from loopcal.document.fit import NoiseEntry
 from loopcal.document.result_document import UPDATED
 from loopcal.errors import InputError, NoTrustworthyResult
@@ -67,6 +68,7 @@ from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.gauge import values_of
 from loopcal.statistics.later_corners import fitting_corners
 from loopcal.statistics.replacing import Replaced, freed
+from loopcal.statistics.scales import scale_of_all
 from loopcal.statistics.shared_repeats import day_as_means
 from loopcal.statistics.station_scales import by_same_stations
 from loopcal.statistics.verified import Verification
@@ -202,8 +204,11 @@ def updated(
             else calibrated.terms
         )
         noted = () if held else calibrated.noise
-        handed_on = Inherited(prior.widened(result), terms, noted, calibrated.conditions)
-        result = replace(result, inherited=handed_on)
+        either = _Either.of(result, allowance.grown, placed)
+        handed_on = Inherited(
+            prior.widened(result) + either.covariance, terms, noted, calibrated.conditions
+        )
+        result = replace(result, inherited=handed_on).with_parts(scales=either.scales)
     result = result.noted(*allowance.words, *([CONDITIONS] if conditions.size else []))
     check = allowance.check
     result = result.noted(*filter(None, [check.read_as]), *check.unlike)
@@ -342,6 +347,31 @@ class _Prior:
         gain = result.spectrum.covariance() @ self.at(result.solution.parameters).slopes.T
         wider: Array = gain @ self.wider @ gain.T
         return wider
+
+
+@dataclass(frozen=True, eq=False)
+class _Either:
+    """A scale s that is followed: that of the machine changed, or that of what measures it.
+
+    These poses do not show which. Of the machine the truth is s, of the instrument 0, each as
+    likely: about the estimate s that is a variance of s^2 / 2, along g, what a scale changes.
+    covariance: (n, n) [SI] that it adds to the estimated parameters; scales: of the document.
+    """
+
+    covariance: Array
+    scales: tuple[ScaleEntry, ...] = ()
+
+    @classmethod
+    def of(cls, result: FitResult, grown: Array | None, placed: Replaced) -> _Either:
+        """grown: (n_all,) per unit of the scale; placed: where the machine stood."""
+        free = list(result.problem.free)
+        if grown is None or not (g := np.where(placed.anew, 0.0, grown)[free]).any():
+            return cls(np.zeros((len(free), len(free))))
+        weights = g / (g @ g)
+        scale = weights @ (result.solution.parameters - placed.parameters)[free]
+        sd = np.sqrt(weights @ result.spectrum.covariance() @ weights)
+        entry = scale_of_all(result.problem, float(scale), float(sd))
+        return cls(0.5 * scale**2 * np.outer(g, g), (entry,))
 
 
 class _WithPrior(InMemory):
