@@ -21,6 +21,6 @@ SHARED_ERRORS = (
         "({p_value:p}). This method counts each row as independent, so its sds are too small.",
         "Calibrate by the default method, which counts such repeats once, or average them.",
         "loopcal calibrate {project} --method auto",
-        title="Repeats of a pose share an error, so the stated sds are too small.",
+        title="Repeats of a pose share an error.",
     ),
 )

@@ -154,11 +154,11 @@ def ranges_of(
 
 
 def _of_measured(mechanism: Mechanism, measured: Dataset) -> dict[str, Span]:
-    """The ranges of a platform that nobody read, by closing the loops at the poses already
-    measured; those of the joints where the platform does not say how they stand."""
+    """Ranges of measured joints, and of the platform where it says how these stand."""
     moved, freedoms = moved_quantities(mechanism), freedoms_of(mechanism)
     unread = [q for q in moved if not np.isfinite(measured.readings.get(q, np.nan)).any()]
-    read = [q for q in moved if q not in unread][:freedoms]
+    every = [q for q in moved if q not in unread]
+    read = every[:freedoms]
     rows = {q: measured.readings[q] for q in (*read, *mechanism.pose_constants)}
     whole = np.flatnonzero(np.isfinite([*rows.values()]).all(axis=0))
     driven = Dataset.from_arrays({q: v[whole] for q, v in rows.items()})
@@ -171,8 +171,9 @@ def _of_measured(mechanism: Mechanism, measured: Dataset) -> dict[str, Span]:
     constants = {q: driven.readings[q] for q in mechanism.pose_constants}
     # A crank stands two ways where its coupler stands one.
     if len(at) < freedoms or not _stand_at(mechanism, at | constants, driven, read):
-        at = {q: driven.readings[q] for q in read}
-    return {q: (float(v.min()), float(v.max())) for q, v in at.items()}
+        at = {}
+    at |= {q: measured.readings[q] for q in every}
+    return {q: (float(np.nanmin(v)), float(np.nanmax(v))) for q, v in at.items()}
 
 
 def _stand_at(
