@@ -17,6 +17,8 @@ import loopcal as lc
 from analyses.planning import beside_random, cases, kept
 from loopcal.companions.robot.programs.coordinates import JointAxes
 from loopcal.companions.robot.programs.registry import read_program
+from loopcal.files.project.project_data import load_dataset
+from loopcal.files.project.project_file import read_project
 from loopcal.mechanisms.planar import planar_two_link
 from tests.command_line import run_here as run
 from tests.refusals import refused
@@ -263,3 +265,27 @@ def test_planned_poses_are_written_as_a_program_where_joints_are_driven(tmp_path
 def test_missing_ranges_are_asked_for_with_the_lines_to_add() -> None:
     with refused("missing-key", "[plan.ranges]", 'phi2 = { from = -90, to = 90, unit = "deg" }'):
         lc.plan(planar_two_link(), 5, noise=SD)
+
+
+@pytest.mark.parametrize("kind", ["five-bar", "three-rrr", "four-bar", "stewart-gough"])
+def test_closed_loops_are_planned_from_their_measured_poses(kind: str, tmp_path: Path) -> None:
+    """Without stated ranges, and with the measured poses as candidates: joints as platform stay
+    within what was measured, and what no sensor reads follows."""
+    assert run("new", "m", "--mechanism", kind, cwd=tmp_path).returncode == 0
+    folder = tmp_path / "m"
+    project = folder / "project.toml"
+    drawn = ["simulate", str(project), "--out", str(folder / "poses.csv"), "--seed", "1"]
+    assert run(*drawn, cwd=tmp_path).returncode == 0
+    stated, _, _ = project.read_text("utf-8").partition("\n[simulation]")
+    project.write_text(stated, "utf-8")
+    request = ["plan", str(project), "--poses", "8", "--json", "--no-report", "--force"]
+    done = run(*request, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    measured = load_dataset(read_project(project)).dataset.readings
+    planned = [one["readings"] for one in json.loads(done.stdout)["poses"]]
+    for q in measured.keys() & planned[0].keys():
+        v = [one[q] for one in planned]
+        assert np.nanmin(measured[q]) - 1e-3 <= min(v)
+        assert max(v) <= np.nanmax(measured[q]) + 1e-3
+    again = run(*request, "--candidates", str(folder / "poses.csv"), cwd=tmp_path)
+    assert again.returncode == 0, again.stderr

@@ -59,6 +59,20 @@ def test_repeats_that_share_an_error_count_as_one_reading() -> None:
     assert len(warned) == 1
 
 
+@pytest.mark.parametrize("method", ["implicit-loop", "least-squares"])
+def test_a_stated_method_says_that_repeats_share_an_error(method: str) -> None:
+    """It counts each row; in none of ten honest sets, in all ten with shared errors."""
+    found = {False: 0, True: 0}
+    for shared in found:
+        for seed in range(10):
+            data = repeats(seed, shared=shared)
+            result = lc.calibrate(ARM.truth, data, noise=NOISE, method=method)
+            codes = {one.code for one in result.document.findings}
+            found[shared] += "repeats-share-error" in codes
+            assert len(result.poses) == POSES * TIMES
+    assert found == {False: 0, True: 10}
+
+
 def between_poses(seed: int, times: int) -> lc.Dataset:
     """Single poses, and the first of them read again so many times in between, by one error."""
     rows = 3 * np.arange(POSES)

@@ -38,6 +38,7 @@ from loopcal.document.findings import (
     LensErrorEntry,
     OtherOptimum,
     Outlier,
+    RepeatsEntry,
     ScaleEntry,
     Undetermined,
 )
@@ -45,7 +46,7 @@ from loopcal.document.fit import ChiSquared, ParameterEntry
 from loopcal.document.result_document import UPDATED, CoarseReadings, ResultDocument
 from loopcal.document.verdict import UNASKED, Fact, Figure, Finding, Named, Row, Where
 from loopcal.mechanisms.limits import joint_limits
-from loopcal.mechanisms.parameters import Role
+from loopcal.mechanisms.parameters import Role, labels_of
 from loopcal.presentation.shown import WIDTH
 from loopcal.statistics.judged_machine import off_the_drawing
 from loopcal.statistics.predictor import predictor
@@ -106,6 +107,7 @@ FINDINGS: dict[str, tuple[str, Any, bool | None]] = {
     "sds-too-small": ("chi_squared", ChiSquared.of(400.0, 114), False),
     "sds-too-large": ("chi_squared", ChiSquared.of(11.0, 114), False),
     "sds-generous": ("chi_squared", ChiSquared.of(57.0, 114), None),
+    "repeats-share-error": ("repeats", RepeatsEntry(50, 2.4, 1e-9), None),
     "halves-disagree": ("halves", (HalvesEntry("eye_f", "px", 671.0, 734.0, 3.4, None),), False),
     "poses-delayed": ("delay", DelayEntry(True, 0.02, 1e-3, 1e-9), False),
     "change-points": ("change_points", ChangePoints((SLIP,), 0.01, 120, ""), False),
@@ -163,7 +165,7 @@ def test_every_finding_has_its_answer(code: str) -> None:
 
 def test_a_focal_length_that_images_hardly_show_leaves_the_result_open() -> None:
     def found(sd: float) -> dict[str, Any]:
-        focal = replace(clean().parameters[0], name="eye_f", unit="px", value=1400.0, sd=sd)
+        focal = replace(unsaid(), name="eye_f", unit="px", value=1400.0, sd=sd)
         every = findings_of(replace(clean(), parameters=(*clean().parameters, focal)))
         return {one.code: one for one in every}
 
@@ -182,11 +184,14 @@ def test_a_smooth_error_that_the_images_show_is_named_and_stays_sound() -> None:
     assert verdict_of(found(11.0)).sound.passed
 
 
+def unsaid() -> ParameterEntry:
+    """A parameter of which nothing says what it is."""
+    return replace(clean().parameters[0], meaning="")
+
+
 def scaled(value: float, sd: float, prior_sd: float) -> dict[str, Any]:
     """Findings of images that show a print of another size, by code."""
-    one = replace(
-        clean().parameters[0], name="board_scale", unit="1", role="print", fixed=False, nominal=0.0
-    )
+    one = replace(unsaid(), name="board_scale", unit="1", role="print", fixed=False, nominal=0.0)
     one = replace(one, value=value, sd=sd, prior_sd=prior_sd)
     accuracy = clean().accuracy
     assert accuracy is not None
@@ -610,12 +615,8 @@ def test_a_hundred_prior_sds_are_too_far_for_every_method() -> None:
 def with_lengths(document: ResultDocument, *off: float) -> ResultDocument:
     """The document with a learnt term of so many lengths of 1 m, each this far [m] off."""
     first = next(p for p in document.parameters if p.unit == "m" and not p.fixed)
-    own = [
-        replace(
-            first, name=f"a_{i}", nominal=1.0, value=1.0 + d, prior_sd=2e-2, sd=2e-5, role="length"
-        )
-        for i, d in enumerate(off, 1)
-    ]
+    first = replace(first, role="length", meaning="", prior_sd=2e-2, sd=2e-5)
+    own = [replace(first, name=f"a_{i}", nominal=1.0, value=1.0 + d) for i, d in enumerate(off, 1)]
     term = replace(SAG, name="lengths", unit="m", columns=len(own))
     return replace(document, parameters=tuple(own), terms=(term,))
 
@@ -628,6 +629,31 @@ def flat(document: ResultDocument) -> ResultDocument:
 
 def _off(p: ParameterEntry) -> float:
     return abs(p.value - p.nominal)
+
+
+def test_a_sentence_says_what_a_parameter_is() -> None:
+    """Of few; programs read names."""
+    gears = lc.effects.Harmonics(("q2",), orders=(1.0, 2.0, 100.0))
+    arm = lc.serial_arm([lc.Joint("q1", "dh"), lc.Joint("q2", "dh")], {"a_1": 0.4, "a_2": 0.3})
+    labels = labels_of(lc.with_effects(arm, [gears]).parameters)
+    assert labels["q2_sin1"] == "q2_sin1 (once-per-turn gear error of q2, sine part)"
+    assert labels["q2_cos100"] == "q2_cos100 (100-per-turn gear error of q2, cosine part)"
+    assert labels["offset_2"] == "offset_2 (zero of q2)"
+    assert labels["tool_x"] == "tool_x (position along x of tool)"
+    worn = replace(
+        unsaid(), name="q2_sin1", unit="rad", role="effect", owner="harmonics", nominal=0.0
+    )
+    worn = replace(
+        worn,
+        meaning="once-per-turn gear error of q2, sine part",
+        value=-8e-3,
+        sd=1e-4,
+        prior_sd=1e-3,
+    )
+    document = replace(clean(), parameters=(*clean().parameters, worn))
+    found = next(one for one in findings_of(document) if one.code == "prior-tension")
+    assert found.place.parameters == ("q2_sin1",)
+    assert found.words.startswith(f"{labels['q2_sin1']} is -0.458 deg")
 
 
 def test_a_dimension_that_is_off_the_drawing_alone_is_named() -> None:

@@ -12,6 +12,7 @@ from functools import partial
 
 from loopcal.document.another_day import ANOTHER_DAY, TWO_MACHINES
 from loopcal.document.of_images import IN_IMAGES, LENS_LEAVES, OF_IMAGES, SCALE_BY_ONE
+from loopcal.document.shared_errors import SHARED_ERRORS
 from loopcal.document.verdict import SEVERITIES, Fact, Finding, Named, Row
 
 _AGAIN, _CHECK = "loopcal calibrate {project}", "loopcal check {project}"
@@ -208,13 +209,7 @@ _ROWS = (
         "Measure the poses in random order, or repeat some at start, middle and end.",
         "loopcal plan {project}",
     ),
-    _sound_open(
-        "errors-shared",
-        "The targets share errors, which the stated regions take as independent: their residuals "
-        "in one pose are correlated by {correlation:2}.",
-        "State the sds of the joints and of the instruments. The fit then knows what they share.",
-        _CHECK,
-    ),
+    *SHARED_ERRORS,
     _sound_open(
         "overfitted",
         "Poses not used are predicted much worse than those used ({ratio:2} times the rms).",
@@ -559,7 +554,7 @@ _ROWS = (
     ),
     _not_valid(
         "poses-undetermined",
-        "Neither these readings nor the prior determine {names}.",
+        "Neither these readings nor the prior determine {place.parameters}.",
         "Fix a parameter of each combination listed, state how well it is known ([prior]), or "
         "measure poses that distinguish it from the others.",
         "loopcal plan {project}",
@@ -588,10 +583,13 @@ CATALOGUE: Mapping[str, Row] = {row.fact: row for row in _ROWS}
 """Code of a fact -> its row."""
 
 
-def findings(facts: Iterable[Fact], files: Mapping[str, Named] = {}) -> tuple[Finding, ...]:
-    """The findings that facts lead to, the gravest first; files: for their commands."""
+def findings(
+    facts: Iterable[Fact], files: Mapping[str, Named] = {}, labels: Mapping[str, str] = {}
+) -> tuple[Finding, ...]:
+    """The findings that facts lead to, the gravest first; files: for their commands; labels: what
+    sentences call parameters."""
     order = {code: i for i, code in enumerate(CATALOGUE)}
     by_row = sorted(facts, key=lambda one: order[one.code])
-    made = [CATALOGUE[one.code].finding(one, files) for one in by_row]
+    made = [CATALOGUE[one.code].finding(one, files, labels) for one in by_row]
     # Sorting is stable: within a severity the order of the rows stays.
     return tuple(sorted(made, key=lambda one: SEVERITIES.index(one.severity)))

@@ -200,6 +200,18 @@ class ConflictEntry:
 
 
 @dataclass(frozen=True)
+class RepeatsEntry:
+    """Repeats of a pose beside different poses, in a fit that counts each row as independent."""
+
+    rows: Count
+    """That repeat a pose, the first reading of each pose left out."""
+    ratio: Size
+    """Rms of what poses leave, over that of repeats about the mean of their pose."""
+    p_value: Probability
+    """Of a ratio at least so large where errors are independent (lack of fit)."""
+
+
+@dataclass(frozen=True)
 class Observability:
     """The observability indices of N poses, without unit; larger is better.
 

@@ -65,7 +65,7 @@ SCALE_BY_ONE = Row(
     "{size} % ± {sd} % if the {decides} is as stated. If the {other} is, the {decides} is stated "
     "{percent} % too {way}, and the images fit alike. The two are {sds:2} sds of both apart.",
     detail="Measure the print, and state its size with the sd of your measurement (prior of "
-    "{place.parameters}).",
+    "{place.names}).",
 )
 IN_IMAGES = (
     Row(

@@ -25,6 +25,7 @@ from loopcal.document.findings import (
     OutlierTests,
     PredictionEntry,
     RegionEntry,
+    RepeatsEntry,
     ScaleEntry,
 )
 from loopcal.document.fit import (
@@ -277,6 +278,9 @@ class ResultDocument:
     of it."""
     conflicts: tuple[ConflictEntry, ...] | None = None
     """Each observation beside all others; null: there is but one."""
+    repeats: RepeatsEntry | None = None
+    """Repeats of a pose beside different poses, where they share an error that a stated method
+    takes as independent; null: they do not, or are counted once."""
     data: DataEntry
     warnings: tuple[str, ...]
     """What the summary warns of."""

@@ -202,6 +202,11 @@ Named = str | Sequence[str]
 # A row of the catalogue: the question that a fact answers, its severity and its words.
 
 
+# Chosen, not derived: what fits a line.
+_LABELLED = 2
+"""Of so many parameters at most a sentence says what they are."""
+
+
 @dataclass(frozen=True)
 class Row:
     """What a fact amounts to, and how it reads."""
@@ -232,9 +237,15 @@ class Row:
         """Its page of the documentation."""
         return f"reference/codes/{self.code}.html"
 
-    def finding(self, fact: Fact, files: Mapping[str, Named] = {}) -> Finding:
-        """The finding that a fact leads to; files: for the command."""
+    def finding(
+        self, fact: Fact, files: Mapping[str, Named] = {}, labels: Mapping[str, str] = {}
+    ) -> Finding:
+        """The finding that a fact leads to; files: for the command; labels: by name of a parameter,
+        what a sentence that names few calls it."""
         place = {one.name: ", ".join(getattr(fact.place, one.name)) for one in fields(Where)}
+        place["names"] = place["parameters"]
+        if len(fact.place.parameters) <= _LABELLED:
+            place["parameters"] = " and ".join(labels.get(n, n) for n in fact.place.parameters)
         values = {**fact.texts, **fact.numbers, "place": SimpleNamespace(**place)}
         sentence = self.sentence.format_map(values)
         return Finding(

@@ -109,9 +109,55 @@ class Parameter:
         """What the machine's own drawing says in m or rad: "length" or "angle"; else ""."""
         return dimension_of(self.role, self.unit)
 
+    @property
+    def label(self) -> str:
+        """What a sentence calls it."""
+        return label_of(self)
+
     def of(self, role: Role, owner: str = "", meaning: str = "") -> Parameter:
         """The same parameter with another role, owner and meaning; those not given stay."""
         return replace(self, role=role, owner=owner or self.owner, meaning=meaning or self.meaning)
+
+
+class Described(Protocol):
+    """What says of itself what it is."""
+
+    @property
+    def name(self) -> str:
+        """Of the parameter."""
+
+    @property
+    def role(self) -> str:
+        """One of `ROLES`; empty: written by an early version."""
+
+    @property
+    def owner(self) -> str:
+        """The joint, link, instrument, target or effect that it belongs to."""
+
+    @property
+    def meaning(self) -> str:
+        """One line on it."""
+
+
+def label_of(parameter: Described) -> str:
+    """The name of a parameter and, in brackets, what it is and of what; the name alone where
+    nothing says it.
+
+    >>> label_of(Parameter("a1_x", 0.0, "m", owner="a1", meaning="position along x"))
+    'a1_x (position along x of a1)'
+    """
+    owner, words = parameter.owner, parameter.meaning.partition(":")[0]
+    if not words:
+        return parameter.name
+    # An effect is a term of the model: what it acts on is in its words.
+    if owner and parameter.role not in BEYOND and owner not in words.split():
+        words = f"{words} of {owner}"
+    return f"{parameter.name} ({words})"
+
+
+def labels_of(parameters: Iterable[Described]) -> dict[str, str]:
+    """Name of each parameter -> what a sentence calls it."""
+    return {p.name: label_of(p) for p in parameters}
 
 
 def dimension_of(role: str, unit_name: str) -> Literal["length", "angle", ""]:

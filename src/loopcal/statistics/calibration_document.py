@@ -73,4 +73,5 @@ def with_findings(document: ResultDocument, findings: Findings) -> ResultDocumen
         delay=findings.shifts.delay,
         joint_error=findings.shifts.joint_error,
         conflicts=findings.conflicts or None,
+        repeats=findings.repeats,
     )

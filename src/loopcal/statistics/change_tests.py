@@ -203,7 +203,7 @@ class _Causes:
 
     def candidate(self, i: int) -> Candidate:
         """As it is reported."""
-        return Candidate(self.causes[i].name, self.causes[i].kind, self.unit(i))
+        return Candidate(*self.causes[i].called, self.unit(i), label=self.causes[i].described)
 
     def joined(self, chosen: Sequence[int], j: int) -> tuple[int, ...]:
         """With a further cause, which may be one of them in more parts."""
@@ -491,8 +491,8 @@ class _System:
                 parts = self.causes.changes(t)
                 hidden = tuple(name for name in names if name not in parts)
             named, span = (one.name, one.kind, one.unit), (size, sd, size - half, size + half)
-            alike = self._alike(chosen, j, rivals[j])
-            changes.append(Change(*named, *span, p_values[j], alike, parts, hidden, turn))
+            alike, p = self._alike(chosen, j, rivals[j]), p_values[j]
+            changes.append(Change(*named, *span, p, alike, parts, hidden, turn, one.label))
         return tuple(changes)
 
     def _size(

@@ -77,7 +77,8 @@ class Candidate:
     of the machine, "drift" of the instrument along the run, or the kind of the parameter `name`.
     p_value: of its test, adjusted for the others (Holm), None where these poses do not show it, and
     for a drift, which is tested with the run. smallest: the change [unit] that is seen with
-    probability `POWER`, None where these poses do not show it.
+    probability `POWER`, None where these poses do not show it. label: what a sentence calls it,
+    where not by its name.
     """
 
     name: str
@@ -85,6 +86,7 @@ class Candidate:
     unit: str
     p_value: float | None = None
     smallest: float | None = None
+    label: str = ""
 
     @property
     def seen(self) -> str:
@@ -110,7 +112,7 @@ class Change:
     alike: further candidates which explain these poses about as well; parts: how much of each [SI],
     where several change together; the value is then the length of those in its unit; hidden:
     parts that these poses do not determine; turn: of what moved as one, and half of its 95 %
-    interval [rad].
+    interval [rad]; label: as of a candidate.
     """
 
     name: str
@@ -125,6 +127,7 @@ class Change:
     parts: Mapping[str, float] = field(default_factory=dict)
     hidden: tuple[str, ...] = ()
     turn: tuple[float, float] | None = None
+    label: str = ""
 
     @property
     def zeros(self) -> tuple[str, ...]:
@@ -153,7 +156,7 @@ class Change:
     def where(self) -> str:
         """What changed, in words."""
         what = {"zero": "the zero of ", "drift": "a drift of "}.get(self.kind, "")
-        return what + self.name
+        return what + (self.label or self.name)
 
     @property
     def words(self) -> str:

@@ -33,6 +33,7 @@ from loopcal.estimation.steps import started
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.parameters import labels_of
 from loopcal.mechanisms.prior import PriorLike
 from loopcal.mechanisms.redundancy import distinguished, guessed
 from loopcal.presentation.brief import brief
@@ -104,7 +105,7 @@ class Check:
     @property
     def findings(self) -> tuple[Finding, ...]:
         """What was found out, the gravest first."""
-        return findings(self.facts, self.files)
+        return findings(self.facts, self.files, labels_of(self.mechanism.parameters))
 
     @property
     def finding(self) -> Finding:
@@ -296,8 +297,7 @@ def _determined(problem: Problem, said: WhatDataSay, loose: set[str]) -> Fact:
     numbers = {} if condition is None else {"condition_number": condition}
     if loose:
         place = Where(parameters=tuple(n for n in problem.names if n in loose))
-        names = ", ".join(map(repr, place.parameters))
-        return fact("poses-undetermined", place, numbers, names=names)
+        return fact("poses-undetermined", place, numbers)
     if condition is None or condition > SCHROER:
         size = "is infinite" if condition is None else f"is {significant(condition, 3)}"
         return fact("poses-alike", numbers=numbers, size=size, limit=f"{SCHROER:.0f}")

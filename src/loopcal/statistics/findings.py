@@ -17,7 +17,13 @@ import numpy as np
 
 from loopcal.document.accuracy import Distances
 from loopcal.document.change_points import NOT_SEARCHED, ChangePoint, ChangePoints, Shifts
-from loopcal.document.findings import ConflictEntry, Observability, OtherOptimum, RegionEntry
+from loopcal.document.findings import (
+    ConflictEntry,
+    Observability,
+    OtherOptimum,
+    RegionEntry,
+    RepeatsEntry,
+)
 from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.accuracy import accuracy
 from loopcal.estimation.prediction import output_differences
@@ -46,6 +52,7 @@ from loopcal.statistics.predictor import Predictor, predictor, usual_words
 from loopcal.statistics.region import Span, region_of
 from loopcal.statistics.reliability import ReadingReliability, reliability
 from loopcal.statistics.scatter import Scatter, scatter
+from loopcal.statistics.shared_repeats import shared_by_repeats
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +62,8 @@ class Findings:
     optima: others that fit about as well; region: where the machine works, and the sd there;
     nominal: accuracy of the nominal machine, placed and mounted; noise_floor: what the noise of the
     readings alone causes; reliability: what single readings can hide; scatter: the
-    covariance that the poses themselves show; conflicts: each observation beside the others.
+    covariance that the poses themselves show; conflicts: each observation beside the others;
+    repeats: of a pose, where a stated method takes the error that they share as independent.
 
     Poses that fit with the shifts modelled are not outliers.
     """
@@ -75,6 +83,7 @@ class Findings:
     reliability: ReadingReliability | None = None
     scatter: Scatter | None = None
     conflicts: tuple[ConflictEntry, ...] = ()
+    repeats: RepeatsEntry | None = None
 
     def __iter__(self, *_: Any) -> NoReturn:
         raise TypeError(
@@ -145,6 +154,7 @@ def findings(
             reliability(result),
             scatter(result),
             conflicts(result),
+            None if parts.chosen else shared_by_repeats(result),
         )
 
 

@@ -81,7 +81,7 @@ class Possible:
     steps, ramps: whether it may happen at once, and all along a run; parts: its independent parts,
     by name [SI], where they are not the names one by one, and units, theirs; label: what it is
     called where that is not its only name; sized: the kind whose largest size it has, where not its
-    own.
+    own; described: its only name, and what that is.
     """
 
     kind: str
@@ -92,6 +92,7 @@ class Possible:
     units: tuple[str, ...] = ()
     label: str = ""
     sized: str = ""
+    described: str = ""
 
     @property
     def name(self) -> str:
@@ -409,7 +410,7 @@ def _dimensions(problem: Problem) -> Iterator[Possible]:
     joints = {*driven_joints(problem.mechanism)}
     for p in problem.mechanism.parameters:
         if p.role in GEOMETRY and not p.same and not (p.role == "zero" and p.owner in joints):
-            yield Possible(p.dimension or p.role, (p.name,))
+            yield Possible(p.dimension or p.role, (p.name,), described=p.label)
 
 
 def sd_of(size: float, sd: float, unit: str) -> float:

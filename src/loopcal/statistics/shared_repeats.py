@@ -23,6 +23,7 @@ import numpy as np
 
 from loopcal.arrays import Array
 from loopcal.chi_squared import tail
+from loopcal.document.findings import RepeatsEntry
 from loopcal.estimation.problem.pose_equations import PoseEquations, pose_equations
 from loopcal.estimation.result import FitResult
 from loopcal.measurements.averaged import averaged
@@ -41,6 +42,9 @@ LEVEL = 1e-3
 # Chosen, not derived: a pose that is read again at the middle and at the end shows a drift.
 MANY = 0.25
 """Share of the rows from which on repeats that are apart hide how much poses err."""
+# As in `changed`: what is larger than stated by half.
+MUCH = 1.5
+"""Poses leave so many times what repeats scatter where sds are too small."""
 # Chosen, not derived: an angle that jumps by a turn, or a sign that changes, has no mean.
 _FAR = 0.1
 """Repeats of a reading lie within this share of its span."""
@@ -132,6 +136,53 @@ class Means:
         freedom = float(count @ (number - 1.0))
         left = sum(block.E.size - float(np.square(block.D @ root).sum()) for block in equations)
         return left >= 1.0 and bool(fdtr(freedom, left, square / freedom) < LEVEL)
+
+
+def shared_by_repeats(result: FitResult) -> RepeatsEntry | None:
+    """Repeats of a pose that share an error, in a fit that counts each row as independent.
+
+    Of the whitened equations E_gi of a pose g with n_g rows, r each, and their means E_g,
+
+        F = (sum_g n_g |E_g|^2 / f) / (sum_gi |E_gi - E_g|^2 / (r sum_g (n_g - 1))),
+
+    f what the fit leaves of the equations of means. None where F is no larger than chance and sds
+    that are too small by half allow, in images, and where no pose is repeated.
+    """
+    from scipy.special import fdtrc
+
+    problem = result.problem
+    mechanism, data = problem.mechanism, result.dataset
+    if not result.status.converged or result.all_poses is not None or not _read(mechanism):
+        return None
+    if problem.count != len(data):
+        return None
+    sds = np.median(np.broadcast_to(problem.uncertainty.sd, problem.readings.shape), axis=1)
+    stated = Noise(dict(zip(mechanism.tape.quantities, sds.tolist(), strict=True)))
+    groups = same_poses(mechanism, data, stated)
+    number = np.bincount(groups)
+    if number.max() < 2:
+        return None
+    root = result.solution.spectrum.root
+    within = between = left = 0.0
+    freedom = 0
+    for block in result.pose_equations():
+        rows = groups[block.poses]
+        means = np.zeros((len(number), block.E.shape[1]))
+        np.add.at(means, rows, block.E)
+        counts = np.bincount(rows, minlength=len(number))
+        means /= np.maximum(counts, 1)[:, None]
+        within += float(np.square(block.E - means[rows]).sum())
+        between += float((counts * np.square(means).sum(axis=1)).sum())
+        freedom += block.E.shape[1] * int((counts[counts > 0] - 1).sum())
+        left += block.E.size - float(np.square(block.D @ root).sum())
+    spare = left - freedom
+    if freedom < 1 or spare < 1.0 or not within > 0.0:
+        return None
+    F = (between / spare) / (within / freedom)
+    p_value = float(fdtrc(spare, freedom, F))
+    if p_value >= LEVEL or F < MUCH**2:
+        return None
+    return RepeatsEntry(len(data) - len(number), float(np.sqrt(F)), p_value)
 
 
 def _first(groups: Index) -> Index:

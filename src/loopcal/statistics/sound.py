@@ -204,6 +204,13 @@ def _errors_shared(document: ResultDocument) -> Fact | None:
     return fact("errors-shared", numbers={"correlation": depends.shared.correlation})
 
 
+def _repeats(document: ResultDocument) -> Fact | None:
+    one = document.repeats
+    if one is None:
+        return None
+    return fact("repeats-share-error", numbers={"ratio": one.ratio, "p_value": one.p_value})
+
+
 def _coverage(document: ResultDocument) -> Fact | None:
     held = document.validation and document.validation.coverage
     if not held or not held.poses or _errors_shared(document) or not _rarely_hold(held):
@@ -482,6 +489,7 @@ SOUND: tuple[Callable[[ResultDocument], Fact | None], ...] = (
     order_or_model,
     drift_or_machine,
     _errors_shared,
+    _repeats,
     _overfitted,
     _model_error,
     off_the_drawing,

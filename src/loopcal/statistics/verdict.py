@@ -35,6 +35,7 @@ from loopcal.estimation.fit_document import fit_document
 from loopcal.estimation.methods.registry import METHODS
 from loopcal.estimation.result import FitResult
 from loopcal.mechanisms.parallel.free_body import TURNS
+from loopcal.mechanisms.parameters import labels_of
 from loopcal.presentation.shown import significant
 from loopcal.statistics.calibration_document import calibration_document, with_findings
 from loopcal.statistics.case import NOMINAL
@@ -81,7 +82,8 @@ def findings_of(
     if region.code in unsound and any(map(_upsets, facts)):
         region = replace(region, code=unsound[region.code])
     others = (region, better(document), good_enough(document, tolerance))
-    made = catalogue.findings([*facts, *(one for one in others if one)], files)
+    labels = labels_of(document.parameters)
+    made = catalogue.findings([*facts, *(one for one in others if one)], files, labels)
     images = _images_to_take(document)
     return tuple(_with_images(one, images) for one in made) if images else made
 
@@ -214,7 +216,7 @@ def valid(document: ResultDocument) -> Fact:
         where=where,
         seen=worst.seen,
         joint=error.joint,
-        parameter=error.parameter,
+        parameter=labels_of(document.parameters)[error.parameter],
         covered=f"{100.0 * covered:.0f}",
     )
 

@@ -15,6 +15,7 @@ from loopcal.cli.run import main
 from loopcal.estimation.mounted import bodies_of
 from loopcal.mechanisms.frame import ChainFrame
 from loopcal.mechanisms.instruments.length import draw_wire
+from loopcal.mechanisms.instruments.point import point
 from loopcal.mechanisms.parallel.delta import linear_delta
 from loopcal.mechanisms.planar import motoman_ma1400
 from tests.refusals import refused
@@ -159,6 +160,30 @@ def test_a_parallel_machine(tmp_path: Path, kind: str, columns: tuple[str, ...])
         for name in ("project.toml", "readings.csv"):
             (tmp_path / "out" / name).unlink(missing_ok=True)
     assert "tool_x" not in made.text or kind == "stewart-gough"
+
+
+def test_what_a_drawing_leaves_out_is_a_guess(tmp_path: Path) -> None:
+    """It is named, and known to a fifth of the machine's size only."""
+    truth = {"rod_2": 0.33}
+    made = lc.assemble(linear_delta(), [point(readings=("x", "y", "z"))])
+    noise = lc.Noise({"slide_*": 1e-5, "[xyz]": 1e-5, "platform_*": math.inf})
+    poses = lc.random_poses(LINEAR_DELTA, 30, seed=1)
+    read = lc.simulate(made, poses, noise=noise, seed=51290, truth=truth).dataset.readings
+    columns = {f"S{i} [m]": read[f"slide_{i}"] for i in (1, 2, 3)}
+    columns |= {f"{axis} [m]": read[axis] for axis in "xyz"}
+    drawn = {p.name: p.nominal for p in linear_delta().parameters.values() if p.nominal}
+    assert drawn.pop("rod_2") == 0.3
+    lines = [f"{name} = {value!r}" for name, value in drawn.items()]
+    drawing = tmp_path / "delta.toml"
+    drawing.write_text("\n".join(["schema = 1", 'type = "linear-delta"', "[parameters]", *lines]))
+    begun = lc.init(columns, machine=str(drawing))
+    (guess,) = (words for words in begun.remarks if words.startswith("guesses"))
+    assert "rod_2 = 300 mm" in guess
+    assert "rod_1" not in guess
+    assert begun.mechanism.parameters["rod_2"].prior_sd == pytest.approx(0.06)
+    assert math.isinf(begun.mechanism.parameters["rod_1"].prior_sd)
+    everything = lc.init(columns, machine="linear-delta")
+    assert any("no dimension is stated" in words for words in everything.remarks)
 
 
 def test_wires_of_a_platform_that_never_turns_begin_at_their_anchors() -> None:

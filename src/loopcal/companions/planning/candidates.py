@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.arrays import Array
+from loopcal.companions.planning.freedoms import beyond_freedoms, freedoms_of, moved_quantities
 from loopcal.companions.planning.occasions import (
     blanked,
     blanks,
@@ -95,7 +96,9 @@ def ranges_of(
     the poses already measured.
 
     Turning joints of an arm then have a quarter turn either way at least. What is found by closing
-    the loops has none. Raises InputError where ranges are missing.
+    the loops has none. Of closed loops as many ranges as freedoms are needed: those of the platform
+    at the poses already measured come first, and the others limit what follows. Raises InputError
+    where ranges are missing.
     """
     outputs = {*mechanism.outputs, *mechanism.turns, *mechanism.implied, *mechanism.home}
     outputs |= {column for o in mechanism.orientations for column in o.columns}
@@ -133,7 +136,14 @@ def ranges_of(
         )
     free = len(mechanism.tape.loops) - len(mechanism.outputs)
     missing = [q for q in missing if q not in ranges and q not in mechanism.unused]
-    if len(missing) > free or any(q in mechanism.pose_constants for q in missing):
+    open_ = len(missing) > free
+    if mechanism.home:
+        moved, freedoms = moved_quantities(mechanism), freedoms_of(mechanism)
+        if measured is not None and sum(q in stated for q in moved) < freedoms:
+            ranges = _of_measured(mechanism, measured) | ranges
+        open_ = sum(q in ranges for q in moved) < freedoms
+        missing = [q for q in missing if q in mechanism.pose_constants] or missing or moved
+    if open_ or any(q in mechanism.pose_constants for q in missing):
         raise InputError(
             f"nothing says where {listed(missing)} may be",
             code="missing-key",
@@ -141,6 +151,41 @@ def ranges_of(
             f"{missing[0]} = {_EXAMPLES.get(units[missing[0]], _OTHER)}; or give candidates",
         )
     return ranges
+
+
+def _of_measured(mechanism: Mechanism, measured: Dataset) -> dict[str, Span]:
+    """Ranges of measured joints, and of the platform where it says how these stand."""
+    moved, freedoms = moved_quantities(mechanism), freedoms_of(mechanism)
+    unread = [q for q in moved if not np.isfinite(measured.readings.get(q, np.nan)).any()]
+    every = [q for q in moved if q not in unread]
+    read = every[:freedoms]
+    rows = {q: measured.readings[q] for q in (*read, *mechanism.pose_constants)}
+    whole = np.flatnonzero(np.isfinite([*rows.values()]).all(axis=0))
+    driven = Dataset.from_arrays({q: v[whole] for q, v in rows.items()})
+    closes = np.flatnonzero(reached(mechanism, driven)) if len(read) == freedoms else whole[:0]
+    if not closes.size:
+        return {}
+    driven = driven.take(closes)
+    closed = closed_at(mechanism, driven, {})
+    at = {q: closed.readings[q] for q in unread[:freedoms]}
+    constants = {q: driven.readings[q] for q in mechanism.pose_constants}
+    # A crank stands two ways where its coupler stands one.
+    if len(at) < freedoms or not _stand_at(mechanism, at | constants, driven, read):
+        at = {}
+    at |= {q: measured.readings[q] for q in every}
+    return {q: (float(np.nanmin(v)), float(np.nanmax(v))) for q, v in at.items()}
+
+
+def _stand_at(
+    mechanism: Mechanism, platform: Mapping[str, Array], driven: Dataset, joints: Sequence[str]
+) -> bool:
+    """Whether joints that are found from the platform stand as they do."""
+    poses = Dataset.from_arrays(platform)
+    if not reached(mechanism, poses).all():
+        return False
+    closed, units = closed_at(mechanism, poses, {}), mechanism.units
+    away = [np.abs(closed.readings[q] - driven.readings[q]) / NEAR[units[q]] for q in joints]
+    return bool(np.max(away) <= 1.0)
 
 
 def drawn(mechanism: Mechanism, ranges: Mapping[str, Span], site: PlanSettings) -> Candidates:
@@ -153,6 +198,8 @@ def drawn(mechanism: Mechanism, ranges: Mapping[str, Span], site: PlanSettings) 
     """
     number, parts = site.number, list[_Sifted]()
     serves = served(mechanism, site.occasions or occasions(mechanism, None), number)
+    limits = {q: ranges[q] for q in beyond_freedoms(mechanism, ranges)}
+    ranges = {q: span for q, span in ranges.items() if q not in limits}
     for i in range(_ROUNDS):
         if sum(part.count for part in parts) >= number:
             break
@@ -161,7 +208,7 @@ def drawn(mechanism: Mechanism, ranges: Mapping[str, Span], site: PlanSettings) 
         names = tuple(str(number * i + j + 1) for j in range(number))
         poses = Dataset.from_arrays(readings, poses=names)
         poses, closes = brought_together(mechanism, poses, serves, ranges)
-        parts.append(_sifted(mechanism, poses, site, serves, closes))
+        parts.append(_sifted(mechanism, poses, site, serves, closes, limits))
     return _joined(parts, number, lambda pose: (int(pose) - 1) % number % 2 == 0)
 
 
@@ -231,14 +278,23 @@ class _Sifted:
 
 
 def _sifted(
-    mechanism: Mechanism, poses: Dataset, site: PlanSettings, serves: Mask, touches: Mask
+    mechanism: Mechanism,
+    poses: Dataset,
+    site: PlanSettings,
+    serves: Mask,
+    touches: Mask,
+    limits: Mapping[str, Span] = {},
 ) -> _Sifted:
+    """What may be measured; limits: [SI] of what follows from the readings by closing the loops."""
     gaps = gaps_of(mechanism)
     computed = {*mechanism.outputs, *mechanism.turns, *mechanism.disturbances}
     computed |= {column for o in mechanism.orientations for column in o.columns}
     units = mechanism.units
     bare = {*units} - computed - gaps
-    readings = {q: v for q, v in poses.readings.items() if q in bare}
+    # A column without values, as of a platform that nobody reads, states no pose.
+    readings = {q: v for q, v in poses.readings.items() if q in bare and not np.isnan(v).all()}
+    for q in beyond_freedoms(mechanism, [*readings]):
+        del readings[q]
     stated = np.isfinite(np.array([*readings.values()])).all(axis=0)
     readings = {q: np.where(stated, v, 0.0) for q, v in readings.items()}
     readings |= {q: np.zeros(len(poses)) for q in mechanism.disturbances}
@@ -264,9 +320,14 @@ def _sifted(
     closed = blanked(closed, blanks(mechanism, serves))
     rules = allowed(mechanism, site, closed, whole)
     refused |= rules.refused
-    if not rules.poses.any():
+    left = rules.poses
+    for q, (low, high) in limits.items():
+        left = left & (low <= closed.readings[q]) & (closed.readings[q] <= high)
+    if limits:
+        refused["outside their ranges"] = int((rules.poses & ~left).sum())
+    if not left.any():
         return _Sifted(len(poses), refused)
-    closed = closed.take(np.flatnonzero(rules.poses))
+    closed = closed.take(np.flatnonzero(left))
     # Where some poses touch and others do not, their gaps say which.
     mixed = {q for q in gaps if np.isnan(closed.readings[q]).any()}
     hidden = computed | (mechanism.implied.keys() - readings.keys() - mixed)

@@ -22,11 +22,19 @@ from loopcal.files.recognition.joint_sets import (
 )
 from loopcal.mechanisms.chain import Step, product
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.parameters import Parameter
 from loopcal.mechanisms.rest import roll_pitch_yaw
 from loopcal.mechanisms.serial import tool_names
+from loopcal.presentation.shown import significant
 
 _SIX = ("tx", "ty", "tz", "rz", "ry", "rx")
 """Motions that make any frame, in this order."""
+GUESSED = 0.2
+"""sd of a dimension that is the example's, in the machine's largest length, and of an angle [rad].
+Chosen, not derived: machines of one type differ by more than the parts of one do."""
+# Chosen, not derived: what fits two lines.
+_SHOWN = 8
+"""Guesses that a remark names."""
 _PARALLEL = 1e-3
 """Axes that meet at a smaller angle [rad] are parallel for Denavit and Hartenberg."""
 
@@ -380,7 +388,48 @@ def _closed(table: Mapping[str, Any], mechanism: Mechanism) -> Robot:
         raise by_hand(table["type"], "moves in a plane", "and name your columns in it")
     driven = names[: len(names) - len(mechanism.tape.loops)]
     unread = names[len(driven) :]
-    return Robot(table, len(driven), driven, unread=unread)
+    table, remarks = _with_guesses(table, mechanism)
+    return Robot(table, len(driven), driven, remarks=remarks, unread=unread)
+
+
+def _with_guesses(
+    table: Mapping[str, Any], mechanism: Mechanism
+) -> tuple[Mapping[str, Any], tuple[str, ...]]:
+    """The table of a parallel machine with what it leaves out, as guesses, and what says so.
+
+    A value that a drawing does not state is 0 where that of the example is.
+    """
+    stated = table.get("parameters", {})
+    missing = [
+        p
+        for p in mechanism.parameters
+        if p.nominal and not any(fnmatchcase(p.name, key) for key in stated)
+    ]
+    if not missing:
+        return table, ()
+    if not stated:
+        return table, (
+            "no dimension is stated: all are guesses, those of the example of this type. State the "
+            "drawing's in a mechanism file (--machine FILE.toml)",
+        )
+    far = {"m": GUESSED * max(abs(p.nominal) for p in mechanism.parameters if p.unit == "m")}
+    guesses = {p.name: _guess(p, far.get(p.unit, GUESSED)) for p in missing}
+    words = [f"{n} = {one['value']:g} {one['unit']}" for n, one in guesses.items()]
+    more = [f"{len(words) - _SHOWN} more"] if len(words) > _SHOWN else []
+    sds = " and ".join(dict.fromkeys(f"{one['sd']:g} {one['unit']}" for one in guesses.values()))
+    remark = (
+        f"guesses, because the file states no other values: {', '.join(words[:_SHOWN] + more)}. "
+        f"They are those of the example of this type, taken to be known to {sds} (sd). Write the "
+        "drawing's values, without sd"
+    )
+    return {**table, "parameters": {**stated, **guesses}}, (remark,)
+
+
+def _guess(parameter: Parameter, sd: float) -> dict[str, Any]:
+    """An entry of a file, in mm or degrees."""
+    motion, unit = ("t", "mm") if parameter.unit == "m" else ("r", "deg")
+    near = float(significant(_written(motion, sd), 2))
+    return {"value": _written(motion, parameter.nominal), "unit": unit, "sd": near}
 
 
 def _apart(mechanism: Mechanism, stated: Mapping[str, Any], point: Sequence[str]) -> Robot:

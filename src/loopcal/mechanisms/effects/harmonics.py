@@ -59,10 +59,13 @@ class Harmonics:
     def parameters(self, mechanism: Mechanism) -> dict[str, Parameter]:
         """JOINT_cosK and JOINT_sinK [rad] of each joint and order."""
         return {
-            name: Parameter(name, 0.0, "rad", SD, meaning=f"gear or encoder of {joint}")
+            name: Parameter(name, 0.0, "rad", SD, meaning=_meaning(joint, k, part))
             for joint in joints(mechanism, self.joints, "rad")
             for k in self.orders
-            for name in (f"{joint}_cos{k:.12g}", f"{joint}_sin{k:.12g}")
+            for name, part in (
+                (f"{joint}_cos{k:.12g}", "cosine"),
+                (f"{joint}_sin{k:.12g}", "sine"),
+            )
         }
 
     def pose_constants(self, mechanism: Mechanism) -> dict[str, str]:
@@ -79,3 +82,12 @@ class Harmonics:
             total = total + p[f"{joint}_cos{k:.12g}"] * np.cos(k * theta)
             total = total + p[f"{joint}_sin{k:.12g}"] * np.sin(k * theta)
         return total
+
+
+_TIMES = {1.0: "once-per-turn", 2.0: "twice-per-turn"}
+
+
+def _meaning(joint: str, order: float, part: str) -> str:
+    """What an amplitude is, in words."""
+    times = _TIMES.get(order, f"{order:.12g}-per-turn")
+    return f"{times} gear error of {joint}, {part} part"
