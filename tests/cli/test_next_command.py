@@ -12,6 +12,8 @@ import pytest
 import loopcal as lc
 from analyses.layouts import World, described, ids, joints, written, xyz
 from loopcal.cli.registry import COMMANDS
+from loopcal.files.recognition.dh_table import read_dh
+from loopcal.workflow.beginning.robot_file import DH_HEADER
 from tests.refusals import refused
 
 from .conftest import Run
@@ -106,6 +108,25 @@ def test_an_error_ends_with_the_next_command(name: str, folder: Path, run: Run) 
     assert done.code in (2, 3), done.err
     assert "Traceback" not in done.err
     assert done.err.endswith(f"Next command:\n    loopcal {command}\n"), done.err
+
+
+def test_readings_without_a_robot_say_what_they_hold_and_how_to_write_one(
+    folder: Path, run: Run
+) -> None:
+    for path in folder.iterdir():
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+    (folder / "day").mkdir()
+    rows = (f"{i},{0.1 * i},{-0.2 * i},1.{i},0.5,0.{i},1,0,0,0\n" for i in range(9))
+    head = "pose,j1_rad,j2_rad,target_x_m,target_y_m,target_z_m,qw,qx,qy,qz\n"
+    (folder / "day" / "poses.csv").write_text(head + "".join(rows), "utf-8")
+    for typed in ("day", "day/poses.csv"):
+        done = run("init", typed, "--run")
+        assert done.code == 2, done.err
+        for stated in ("2 joints", "'j2_rad'", "poses of a target", DH_HEADER):
+            assert stated in done.err
+        assert done.err.endswith(f"Next command:\n    loopcal init {typed} --run --dh dh.csv\n")
+    (folder / "dh.csv").write_text(f"{DH_HEADER}\n1,500,0,-90,0\n2,400,0,0,0\n", "utf-8")
+    assert read_dh(folder / "dh.csv").moving == 2
 
 
 def test_the_robot_among_the_readings_stays(folder: Path, run: Run) -> None:

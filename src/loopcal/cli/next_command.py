@@ -136,7 +136,7 @@ def _placed(error: LoopcalError, words: Sequence[str]) -> list[str]:
     if ahead[-1] == "--urdf" and _is_dh(place):
         return [*ahead[:-1], "--dh", place, *behind]
     if ahead[-1] in _ROBOT:
-        robot = _files("ROBOT", [])
+        robot = split(_robot([]))
         return [*ahead[:-1], *robot, *behind] if robot and place not in robot else []
     takes = "PROJECT" if words[0] in _OF_PROJECTS else "RESULT" if words[0] in _OF_RESULTS else ""
     takes = "READINGS" if words[0] == "init" else takes
@@ -223,7 +223,8 @@ def _files(what: str, words: Sequence[str]) -> list[str]:
         "B": lambda: [r for r in _newest(_is_result) if r not in words][:1],
         "READINGS": lambda: _tables(words),
         "FILE...": lambda: _tables(words) if words[0] == "predict" else [],
-        "ROBOT": lambda: split(_robot(words)),
+        # Where there is none yet, the file that the remedy says how to write.
+        "ROBOT": lambda: split(_robot(words)) or ["--dh", "dh.csv"],
         "FORMAT": lambda: ["dh"],
         "NAME": lambda: [w for w in words[1:2] if words[0] == "new" and w[0] != "-"] or ["machine"],
         "FOLDER": lambda: ["machine.history"],

@@ -280,6 +280,13 @@ class LensErrorEntry:
     """Of u or v [px], where corners were read."""
     gain: float
     """By how much it lowers -2 log of the restricted likelihood."""
+    image: tuple[float, float] = (0.0, 0.0)
+    """Width and height that the waves span [px]."""
+    spectrum: tuple[float, ...] = ()
+    """Variance of each wave [px squared], of u and then of v."""
+    moved: tuple[tuple[float, ...], ...] = ()
+    """How far 1 px of each wave moves each estimated parameter [SI], by parameter and wave; empty:
+    written by an earlier version."""
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parallel.free_body import COLUMNS, POSITION
 from loopcal.small_samples import LearntCovariance
+from loopcal.statistics.lens_fields import LensField, lens_fields, together
 from loopcal.statistics.printed import Offsets
 from loopcal.statistics.scatter import Scatter, scatter
 
@@ -60,7 +61,8 @@ class Calibrated:
     it was measured (`FitResult.conditions`); sound: what its verdict says of it, None of a fit that
     was not judged; pose_part: (n_all, n_all) of the covariance (`FitResult.pose_part`), and
     smooth_errors, which say how far poses are from those of the fit; offsets: what the points of
-    prints leave open, of which covariance says nothing.
+    prints leave open, of which covariance says nothing; fields: what lenses leave, whose part of
+    the covariance other images of the same camera share.
     """
 
     name: str
@@ -83,6 +85,7 @@ class Calibrated:
     pose_part: Array | None = None
     smooth_errors: SmoothErrors | None = None
     offsets: Offsets | None = None
+    fields: tuple[LensField, ...] = ()
 
     @classmethod
     def of(cls, result: FitResult, name: str) -> Calibrated:
@@ -112,6 +115,10 @@ class Calibrated:
             pose_part=_square(result.pose_part, free, size),
             smooth_errors=result.smooth_errors,
             offsets=_offsets(result.printed, parameters.names, result.estimated),
+            fields=lens_fields(
+                () if result.lens_errors is None else result.lens_errors.entries,
+                np.eye(size)[:, free],
+            ),
         )
 
     @classmethod
@@ -159,6 +166,7 @@ class Calibrated:
             pose_part=_square(stored_pose_part(document.covariance), free, len(names)),
             smooth_errors=None if stored is None else stored.smooth_errors,
             offsets=_offsets(None if stored is None else stored.printed, names, estimated),
+            fields=lens_fields(document.lens_errors, np.eye(len(names))[:, free]),
         )
 
     @property
@@ -195,6 +203,7 @@ class Calibrated:
             scatter=self.scatter and self.scatter.through(M),
             pose_part=None if self.pose_part is None else M @ self.pose_part @ M.T,
             offsets=self.offsets and self.offsets.through(M),
+            fields=tuple(one.through(M) for one in self.fields),
         )
 
     @property
@@ -205,13 +214,29 @@ class Calibrated:
             return self
         used = LearntCovariance.certain(self.unwidened)
         prior_sd = np.where(np.isfinite(offsets.prior_sd), offsets.prior_sd, self.prior_sd)
-        covariance = offsets.beside(self.covariance)
+        covariance, carried = offsets.beside(self.covariance), offsets.carried
+        part = self.pose_part
         return replace(
             self,
             covariance=covariance,
-            undetermined=offsets.carried @ self.undetermined,
+            undetermined=carried @ self.undetermined,
             prior_sd=prior_sd,
             gain=offsets.beside(used).matrix,
+            pose_part=None if part is None else carried @ part @ carried.T,
+            fields=tuple(one.through(carried) for one in self.fields),
+        )
+
+    @property
+    def continuing(self) -> Calibrated:
+        """For an update: with the offsets of points among its parameters, none of which is fixed
+        that has a covariance."""
+        one = replace(self.with_offsets, offsets=None)
+        if self.offsets is None:
+            return one
+        every = one.mechanism.parameters
+        open_ = [p.name for p, free in zip(every, one.estimated, strict=True) if free]
+        return replace(
+            one, mechanism=one.mechanism.with_parameters(every.with_fixed(open_, fixed=False))
         )
 
     def predicting(self, data: Dataset) -> Calibrated:
@@ -267,7 +292,16 @@ class Calibrated:
         if self.scatter is None:
             return self
         seen = LearntCovariance.certain(self.scatter.matrix)
-        return replace(self, covariance=seen, gain=self.unwidened)
+        return replace(self, covariance=seen, gain=self.unwidened, fields=())
+
+    @property
+    def without_fields(self) -> Calibrated:
+        """Without what lenses leave."""
+        if not self.fields:
+            return self
+        part = together(self.fields, len(self.nominal))
+        covariance = self.covariance.widened(-part)
+        return replace(self, covariance=covariance, gain=self.unwidened, fields=())
 
     @property
     def by_residuals(self) -> Calibrated:

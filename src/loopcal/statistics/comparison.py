@@ -31,7 +31,7 @@ noise then decides nothing.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -57,6 +57,7 @@ from loopcal.statistics.compared import (
     PointDifference,
 )
 from loopcal.statistics.gauge import carried, changes, difference, gauge, moved, values_of
+from loopcal.statistics.lens_fields import LensField, apart
 
 # Chosen, not derived: covariances of poses by pairs; time and memory.
 MOST_POSES = 500
@@ -103,7 +104,7 @@ def compare(
     # Prints wear and warp; the machine is the rest.
     of_points = np.isin(a.mechanism.parameters.names, a.mechanism.parameters.of_role("corner"))
     left_out = np.hstack([G, loose, np.eye(len(d))[:, of_points]])
-    C = covariance_between(a.by_residuals, b.by_residuals)
+    C = covariance_between(a, b)
     tested = _statistic(d, C, left_out)
     scattered = None
     if (tested.p_value or 0.0) < SIGNIFICANT:
@@ -261,7 +262,22 @@ def _brought(b: Calibrated, points: _Points) -> tuple[Calibrated, Array]:
     return brought, np.column_stack([motion.rotation, motion.shift])
 
 
-def covariance_between(a: Calibrated, b: Calibrated) -> LearntCovariance:
+def covariance_between(
+    a: Calibrated, b: Calibrated, learnt: Sequence[LensField] = ()
+) -> LearntCovariance:
+    """Of p_B - p_A, as large as the residuals; what a lens leaves is one field in both.
+
+    learnt: what lenses leave, where more images than those of either say so.
+    """
+    covariance = _between(*(one.without_fields.by_residuals for one in (a, b)))
+    # The last slopes are of these parts: without them what is tested seems hardly known.
+    parts = [one.factor * one.pose_part for one in (a, b) if one.pose_part is not None]
+    covariance = replace(covariance, plain=sum(parts, covariance.plain))
+    fields = learnt or (*a.fields, *b.fields)
+    return covariance.widened(apart(a.fields, b.fields, len(a.nominal), fields))
+
+
+def _between(a: Calibrated, b: Calibrated) -> LearntCovariance:
     """Of p_B - p_A; a prior that both share counts once.
 
     Offsets of the points of a print have a prior sd that each has learnt, and are the same in both.
@@ -326,7 +342,7 @@ def _by_scatter(
 ) -> _ByScatter | None:
     """The test by the scatter of the poses; None where that does not show to be larger than C."""
     freedom = sum(one.scatter.freedom for one in (a, b) if one.scatter is not None)
-    seen = covariance_between(a.by_scatter, b.by_scatter)
+    seen = _between(a.by_scatter, b.by_scatter)
     K = contrasts(C, left_out)
     size = len(K)
     ratio = float(np.trace(seen.through(K).matrix)) / size if size else 0.0

@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from loopcal.arrays import Array
 from loopcal.document.choice import Candidate
 from loopcal.document.findings import HalvesEntry
 from loopcal.document.plain import finite
@@ -19,7 +18,6 @@ from loopcal.errors import NoTrustworthyResult
 from loopcal.estimation.result import FitResult
 from loopcal.execution.executor import Executor
 from loopcal.mechanisms.mechanism import PIXELS
-from loopcal.small_samples import LearntCovariance
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.case import Case, Entrant, instruments_alone, nominal_case, unstated_lenses
 from loopcal.statistics.comparison import covariance_between
@@ -111,7 +109,7 @@ def lens_halves(
     by another amount in other images. The residuals show little of it; two fits of different images
     do. With estimates a, b of the halves the covariance of b - a is that of both, less what both
     took from the same prior (`comparison.covariance_between`). What no lens describes is one field
-    in both: it moves them by what `LensErrors.between` says, not by what it moves each.
+    in both: it moves them by what `lens_fields.apart` says, not by what it moves each.
     """
     whole, case = taken.whole, taken.entrant.case
     lens = () if whole is None else whole.mechanism.parameters.of_role("lens")
@@ -127,11 +125,8 @@ def halves_apart(whole: FitResult, *fits: FitResult) -> tuple[HalvesEntry, ...]:
     if any(fit.estimated != whole.estimated for fit in fits):
         return ()
     lens = whole.mechanism.parameters.of_role("lens")
-    first, second = (_beside_lens_errors(fit) for fit in fits)
-    covariance = covariance_between(first.by_residuals, second.by_residuals)
-    if whole.lens_errors is not None:
-        apart = whole.lens_errors.between(*((fit.problem, fit.solution) for fit in fits))
-        covariance = covariance.widened(_within(whole, apart))
+    of_all, first, second = (Calibrated.of(fit, "").with_offsets for fit in (whole, *fits))
+    covariance = covariance_between(first, second, learnt=of_all.fields)
     sd = np.sqrt(np.maximum(np.diag(covariance.matrix), 0.0))
     entries = []
     for i, p in enumerate(whole.mechanism.parameters):
@@ -140,21 +135,6 @@ def halves_apart(whole: FitResult, *fits: FitResult) -> tuple[HalvesEntry, ...]:
             freedom = finite(float(covariance.freedom[i]))
             entries.append(HalvesEntry(p.name, p.unit, one, other, float(sd[i]), freedom))
     return tuple(entries)
-
-
-def _beside_lens_errors(fit: FitResult) -> Calibrated:
-    """Without what the covariance gains by the field that other images share."""
-    one, errors = Calibrated.of(fit, ""), fit.lens_errors
-    if errors is not None:
-        part = _within(fit, errors.covariance)
-        one = replace(one, covariance=one.covariance.widened(-part))
-    return one.with_offsets
-
-
-def _within(fit: FitResult, part: Array) -> Array:
-    """Of all parameters, of what is of the estimated ones."""
-    size, free = len(fit.mechanism.parameters), fit.problem.free
-    return LearntCovariance.certain(part).within(size, free).matrix
 
 
 def image_validation(

@@ -15,11 +15,15 @@ from scipy.spatial.transform import Rotation
 import loopcal as lc
 from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.dependence.lens_errors import _eyes, _Sums
+from loopcal.estimation.dependence.lens_errors import waves as stated_waves
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.fit_document import fit_document
 from loopcal.estimation.result import FitResult
 from loopcal.mechanisms.cameras.lens import project
+from loopcal.statistics.calibrated import Calibrated
+from loopcal.statistics.comparison import covariance_between
 from loopcal.statistics.images import halves_apart
+from loopcal.statistics.lens_fields import LensField, lens_fields
 from loopcal.statistics.sound import SOUND
 from tests.estimation.cameras.test_image_errors import Array, placed, stated
 
@@ -121,10 +125,12 @@ class Draw(NamedTuple):
     left: float
 
 
-def calibrated(seed: int, *, odd: bool) -> Draw:
-    """Of poses of a robot and images; odd: with a field."""
+def calibrated(seed: int, *, odd: bool, day: int = 0) -> Draw:
+    """Of poses of a robot and images; odd: with a field; day: of the images of one lens."""
     random = np.random.default_rng(seed)
     b, best = field(random)
+    if day:
+        random = np.random.default_rng([seed, day])
     if not odd:
         b, best = 0.0 * b, LENS
     T, uv, left = images(random, b, best)
@@ -230,3 +236,37 @@ def test_halves_of_the_images_share_what_no_model_describes(draws: list[Draw]) -
     # counted in each half as if the other had another field: 0.60
     assert 0.7 < np.sqrt(np.mean(np.square(off))) < 1.2
     assert np.abs(off).max() < 3.0
+
+
+def test_two_days_of_one_lens_share_what_no_model_describes(draws: list[Draw]) -> None:
+    off = []
+    for seed, draw in enumerate(draws[:8]):
+        results = draw.result, calibrated(seed, odd=True, day=1).result
+        first, second = (Calibrated.of(one, "") for one in results)
+        C = covariance_between(first, second)
+        sds = np.sqrt(np.diag(C.matrix))
+        for i, name in enumerate(results[0].mechanism.parameters.names):
+            if name in ("eye_cx", "eye_cy", "eye_p1", "eye_p2"):
+                off.append((results[1].value[name] - results[0].value[name]) / sds[i])
+    # counted in each day as if the other had another lens: 0.48
+    assert 0.7 < np.sqrt(np.mean(np.square(off))) < 1.3
+    assert np.abs(off).max() < 3.5
+
+
+def test_a_document_holds_how_the_field_moves_the_parameters(draws: list[Draw]) -> None:
+    result = draws[0].result
+    assert result.lens_errors is not None
+    (one,) = lens_fields(fit_document(result).lens_errors, np.eye(len(result.estimated)))
+    np.testing.assert_allclose(one.covariance, result.lens_errors.covariance)
+
+
+def test_a_field_over_an_image_of_another_size_is_the_same_field() -> None:
+    """Each parameter is here what the field is at a pixel."""
+    u, v = np.array([[100.0, 640.0, 1200.0, 900.0], [50.0, 480.0, 900.0, 200.0]])
+    small, large = (1280.0, 960.0), (1400.0, 1000.0)
+    of_small, of_large = (stated_waves(u / w, v / h).T for w, h in (small, large))
+    one = LensField("eye", large, np.ones(72), np.asarray(np.kron(np.eye(2), of_large)))
+    smooth = np.tile(np.arange(36) % 6 + np.arange(36) // 6 < 4, 2)
+    there = one.over(small)[:, smooth]
+    np.testing.assert_allclose(there, np.kron(np.eye(2), of_small)[:, smooth], atol=0.03)
+    assert one.over(large) is one.moved

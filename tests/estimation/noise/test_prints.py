@@ -157,22 +157,54 @@ def test_images_not_used_lie_in_their_regions(
     assert made.coverage.share >= 0.85
 
 
-def test_two_days_of_one_print_agree_in_pixels(
-    scattered: tuple[Shots, FitResult], tmp_path: Path
-) -> None:
-    shots, result = scattered
+def _later(shots: Shots) -> Shots:
+    """Images of another day."""
     rng = np.random.default_rng([91, 4])
     q = poses(shots.rig, IMAGES, rng)
     uv = shots.rig.pixels(shots.rig.flange(q))
     uv = uv + shots.rig.corner * rng.normal(size=uv.shape)
-    later = Shots(shots.rig, q, q + shots.rig.encoder * rng.normal(size=q.shape), uv)
-    compared = lc.compare(result, _calibrated(later, tmp_path))
+    return Shots(shots.rig, q, q + shots.rig.encoder * rng.normal(size=q.shape), uv)
+
+
+def test_two_days_of_one_print_agree_in_pixels(
+    scattered: tuple[Shots, FitResult], tmp_path: Path
+) -> None:
+    shots, result = scattered
+    compared = lc.compare(result, _calibrated(_later(shots), tmp_path))
     assert compared.differ is False
     assert compared.points is not None
     assert compared.points.inside >= 0.85
     assert compared.points.unit == "px"
     assert compared.points.rms < shots.rig.corner
     assert " px (sd " in compared.verdict()
+
+
+def test_an_update_is_a_fit_of_all_images_and_carries_the_print_on(
+    scattered: tuple[Shots, FitResult], tmp_path: Path
+) -> None:
+    shots, result = scattered
+    project = _project(_later(shots), tmp_path)
+    later = project.dataset
+    new = lc.update(result, later, moved=False)
+    first = result.dataset.readings
+    assert {*first} == {*later.readings}
+    both = lc.Dataset.from_arrays({q: np.append(first[q], later.readings[q]) for q in first})
+    joint = lc.calibrate(
+        result.mechanism,
+        both,
+        noise=project.noise,
+        method="implicit-loop",
+    )
+    for name in joint.estimated:
+        sd = joint.sd[name] or np.nan
+        # with the points held: 0.08 to 1.0 of it
+        assert new.sd[name] == pytest.approx(sd, rel=0.15), name
+        assert abs(new.value[name] - joint.value[name]) < 0.3 * sd, name
+    names = [n for n in result.mechanism.parameters.of_role("corner") if n in new.estimated]
+    assert len(names) >= 2 * COLUMNS * ROWS
+    off = np.array([new.value[name] - joint.value[name] for name in names])
+    assert np.sqrt(np.square(off).mean()) < 5e-6
+    assert [term.name for term in new.terms] == ["points"]
 
 
 def test_one_point_that_is_elsewhere_is_named_once(tmp_path: Path) -> None:

@@ -52,6 +52,18 @@ def test_a_charuco_board_as_a_project_and_others_state_it(tmp_path: Path) -> Non
     assert (other.pattern.legacy, other.pattern.dictionary) == (True, "6X6_250")
 
 
+def test_a_checkerboard_as_the_text_of_rwhec_states_it(tmp_path: Path) -> None:
+    text = "\tchess_mm_height 28\n\n\tchess_mm_width 30.5\nchess_height 6\nchess_width 8\n"
+    path = written(tmp_path, text, "calibration_object.txt")
+    written(tmp_path, "image,camera,point,u,v\na,1,0,5.5,6.5\na,1,1,7.5,8.5\n", "corners.csv")
+    board = read_files([tmp_path]).boards["board"]
+    assert board.pattern == Pattern("checkerboard", 8, 6)
+    assert board.points["9"] == pytest.approx((0.0305, 0.028, 0.0))
+    path.write_text(text.replace("chess_width 8", "chess_width 8.5"), "utf-8")
+    with refused("invalid-value", "calibration_object.txt", "chess_width", "8.5"):
+        read_files([tmp_path])
+
+
 @pytest.mark.parametrize(("unit", "factor"), [("inch", 0.0254), ("cm", 0.01), ("um", 1e-6)])
 def test_a_board_in_any_unit_is_one_in_a_folder(tmp_path: Path, unit: str, factor: float) -> None:
     written(tmp_path, f"point,x_{unit},y_{unit},z_{unit}\n0,0,0,0\n1,2,3,0\n", "print.csv")

@@ -160,6 +160,7 @@ def updated(
     rows = [names.index(name) for name in stiff.mechanism.parameters.names]
     if not np.delete(drift, rows, axis=0).any():  # no other load is followed
         calibrated, drift = stiff, drift[rows]
+    calibrated = calibrated.continuing
     held = stated is not None
     if stated is None:
         stated, data = noise_of(calibrated), as_learnt(calibrated, data)

@@ -22,7 +22,8 @@ where the best s stands for itself. What is gained is averaged over a grid of r 
 here are those without priors. L is the spectrum of a Matern covariance of order 2 (Stein 1999).
 
 The field moves an estimate by M b, M = (H + P)^-1 D^T Z. Two sets of images of one camera have the
-same b: the difference of their estimates gains (M_1 - M_2) t L (M_1 - M_2)^T.
+same b: the difference of their estimates gains (M_1 - M_2) t L (M_1 - M_2)^T
+(`statistics.lens_fields`).
 """
 
 from __future__ import annotations
@@ -74,25 +75,15 @@ class LensErrors:
     moved: Array
     spectrum: Array
     entries: tuple[LensErrorEntry, ...]
-    eyes: tuple[_Eye, ...]
 
     @property
     def covariance(self) -> Array:
         """(n, n) [SI] what that of the estimate gains."""
-        return self._of(self.moved)
+        return np.asarray((self.moved * self.spectrum) @ self.moved.T)
 
     def through(self, S: Array) -> Array:
         """(N, m, m) what that of S (N, m, n) times the estimate gains."""
         return np.asarray(rows_times(S, self.covariance) @ np.swapaxes(S, -1, -2))
-
-    def between(self, *fits: tuple[Problem, Solution]) -> Array:
-        """(n, n) [SI] what the covariance of the difference of two estimates gains, each of a part
-        of the images."""
-        one, other = (_moved(_sums(*fit, self.eyes), fit[1], self.eyes) for fit in fits)
-        return self._of(one - other)
-
-    def _of(self, moved: Array) -> Array:
-        return np.asarray((moved * self.spectrum) @ moved.T)
 
 
 class _Learnt(NamedTuple):
@@ -121,7 +112,7 @@ class _Eye:
 
     def waves(self, u: Array, v: Array) -> Array:
         """(w / 2, ...) at pixels."""
-        return _waves(u / self.size[0], v / self.size[1])
+        return waves(u / self.size[0], v / self.size[1])
 
 
 def _numbers() -> tuple[Array, Array]:
@@ -130,7 +121,8 @@ def _numbers() -> tuple[Array, Array]:
     return m.ravel(), n.ravel()
 
 
-def _waves(x: Array, y: Array) -> Array:
+def waves(x: Array, y: Array) -> Array:
+    """(w / 2, ...) at places over the image, each from 0 to 1."""
     m, n = (np.pi * one.reshape(-1, *(1,) * x.ndim) for one in _numbers())
     return np.asarray(np.cos(m * x) * np.cos(n * y))
 
@@ -144,7 +136,7 @@ def lens_errors(problem: Problem, solution: Solution) -> LensErrors | None:
     eyes = _eyes(problem, parameters)
     if not eyes:
         return None
-    sums = _sums(problem, solution, eyes)
+    sums = _Sums.of(problem, solution.parameters, solution.corrections, eyes)
     weak = _WEAK * problem.precision
     away = problem.nominal - parameters[problem.free]
     pull = np.where(weak > 0.0, weak * away, 0.0)
@@ -164,18 +156,15 @@ def lens_errors(problem: Problem, solution: Solution) -> LensErrors | None:
         taken = A.T @ inverse
         learnt = _learnt(eye, ZZ - taken @ A, ZE - taken @ toward, (square, freedom, pixel))
         spectra.append(learnt.spectrum)
-        entries.append(LensErrorEntry(eye.name, learnt.rms, learnt.gain))
-    return LensErrors(moved, np.concatenate(spectra), tuple(entries), eyes)
+        of_waves = tuple(learnt.spectrum.tolist()), tuple(map(tuple, moved[:, part].tolist()))
+        entries.append(LensErrorEntry(eye.name, learnt.rms, learnt.gain, eye.size, *of_waves))
+    return LensErrors(moved, np.concatenate(spectra), tuple(entries))
 
 
 def _parts(eyes: Sequence[_Eye]) -> list[slice]:
     """The waves of each camera among those of all."""
     ends = np.cumsum([len(eye.left) for eye in eyes]).tolist()
     return [slice(end - len(eye.left), end) for eye, end in zip(eyes, ends, strict=True)]
-
-
-def _sums(problem: Problem, solution: Solution, eyes: Sequence[_Eye]) -> _Sums:
-    return _Sums.of(problem, solution.parameters, solution.corrections, eyes)
 
 
 def _by_field(sums: _Sums, eye: _Eye, part: slice) -> Array:
@@ -329,7 +318,7 @@ def _best(lens: Intrinsics, keys: Sequence[str], size: tuple[float, float]) -> t
     uv = np.column_stack([x.ravel(), y.ravel()]) * size
     P = np.column_stack([rays(lens, uv), np.ones(len(uv))])
     tangents = by_value(lens.lens, P, lens.values, keys).transpose(1, 0, 2).reshape(-1, len(keys))
-    F = np.kron(np.eye(2), _waves(x.ravel(), y.ravel()).T)
+    F = np.kron(np.eye(2), waves(x.ravel(), y.ravel()).T)
     # Where the lens turns back before the corner of the image there is no ray.
     shown = np.abs(pixels(lens.lens, P, lens.values) - uv).max(axis=1) < 1.0
     tangents, F = (one * np.tile(shown, 2)[:, None] for one in (tangents, F))

@@ -5,6 +5,7 @@ Kalibr target         target_type: aprilgrid (tagCols, tagRows, tagSize, tagSpac
                       colSpacingMeters), circlegrid (spacingMeters, asymmetricGrid)
 a description         type: checkerboard, charuco, aprilgrid or circles, its counts and sizes
 industrial_calibration  rows, cols, chessboard_dim, aruco_marker_dim, ...
+RWHEC of Tabb         a text: chess_mm_height 28.5, chess_mm_width, chess_height, chess_width
 a table of points     board, point, x, y, z with units in the header, [m] without
 """
 
@@ -43,12 +44,43 @@ def read_boards(path: str | Path) -> dict[str, Board]:
     the columns x and y, or with one point twice.
     """
     if Path(path).suffix.lower() not in DOCUMENTS:
-        return _of_table(path)
+        return {_NAME: _chess(path)} if is_chess(path) else _of_table(path)
     document = read_document(path)
     described = document.get("board", "target", "target_finder", "target_definition") or document
     if isinstance(described.data, list):
         described = described.parts()[0]
     return {_NAME: _board_of(described)}
+
+
+_CHESS = ("chess_mm_height", "chess_mm_width", "chess_height", "chess_width")
+"""Words of a text that describes a checkerboard, each before its number: sizes and counts."""
+_LONGEST = 2_000
+"""Bytes of such a text at most."""
+
+
+def is_chess(path: str | Path) -> bool:
+    """Whether a text describes a checkerboard by the words of RWHEC."""
+    return Path(path).suffix.lower() == ".txt" and {*_CHESS} <= {*_by_word(path)}
+
+
+def _chess(path: str | Path) -> Board:
+    stated = Part(_by_word(path), Path(path).name)
+    tall, wide, rows, columns = (stated.part(word) for word in _CHESS)
+    pitch = (1e-3 * wide.length, 1e-3 * tall.length)
+    return printed.checkerboard(columns.count, rows.count, pitch, _NAME)
+
+
+def _by_word(path: str | Path) -> dict[str, str]:
+    """What stands behind the first word of each line; nothing of a text that is longer, or none."""
+    try:
+        with Path(path).open(encoding="utf-8-sig") as file:
+            text = file.read(_LONGEST + 1)
+    except (OSError, UnicodeDecodeError):
+        return {}
+    if len(text) > _LONGEST:
+        return {}
+    lines = (line.split() for line in text.splitlines())
+    return {line[0]: line[1] for line in lines if len(line) == 2}
 
 
 def _board_of(part: Part) -> Board:

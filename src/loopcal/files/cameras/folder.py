@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from loopcal.errors import InputError, listed
-from loopcal.files.cameras.boards import read_boards
+from loopcal.files.cameras.boards import is_chess, read_boards
 from loopcal.files.cameras.corner_documents import LISTS, has_tags
 from loopcal.files.cameras.corner_table import CornerTable
 from loopcal.files.cameras.corners import is_corners, pixel_stem, read_corners
@@ -193,6 +193,8 @@ def _kind(path: Path) -> str:
         return ""
     if ending not in TABLES:
         return "poses" if _reads(read_places, path) or _has_readings(path) else ""
+    if is_chess(path):
+        return "board"
     names = _header(path)
     parts = [set(_WORDS.split(name.lower())) for name in names]
     stems = {"".join(_WORDS.split(heading(name).stem)) for name in names}

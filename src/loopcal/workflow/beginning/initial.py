@@ -61,7 +61,13 @@ from loopcal.workflow.beginning.images_project import CORNERS
 from loopcal.workflow.beginning.misfits import left_out
 from loopcal.workflow.beginning.misplaced_rows import held_readings
 from loopcal.workflow.beginning.ratios import misstated
-from loopcal.workflow.beginning.robot_file import InitOptions, RobotFile, among, used
+from loopcal.workflow.beginning.robot_file import (
+    InitOptions,
+    RobotFile,
+    among,
+    undescribed,
+    used,
+)
 from loopcal.workflow.beginning.searching import (
     CLEARLY,
     PLAUSIBLE,
@@ -437,10 +443,7 @@ def _described(robot: RobotFile, folder: Path, fields: Sequence[Field]) -> Robot
 def _robot(robot: RobotFile, fields: Fields, folder: Path, signs: Sequence[int]) -> Robot:
     named = [k for k in ("urdf", "dh", "machine") if getattr(robot, k) is not None]
     if len(named) != 1:
-        raise UsageError(
-            f"{' and '.join(named) or 'nothing'} describes the robot",
-            remedy="name exactly one of --urdf FILE, --dh FILE and --machine TYPE",
-        ).offering(*([] if named else ["ROBOT"]))
+        raise undescribed(named, fields.fields)
     if robot.urdf is not None:
         path = Path(robot.urdf)
         count = len(robot.joints.split(",")) if robot.joints else 0

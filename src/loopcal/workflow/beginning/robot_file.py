@@ -8,10 +8,13 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, TypedDict
 
-from loopcal.errors import unknown_name
+from loopcal.errors import UsageError, listed, unknown_name
 from loopcal.files.cameras.folder import files_of
 from loopcal.files.recognition.dh_table import is_dh
+from loopcal.files.recognition.fields import Field
 from loopcal.files.recognition.joins import Fields
+from loopcal.files.recognition.joint_sets import usual_joints
+from loopcal.files.recognition.layouts import instruments
 
 
 @dataclass(frozen=True)
@@ -63,6 +66,37 @@ def among(readings: Sequence[Any], robot: RobotFile) -> tuple[RobotFile, Sequenc
     if len(tables) == 1:
         return replace(robot, dh=tables[0]), [r for r in readings if str(r) != str(tables[0])]
     return robot, readings
+
+
+_SEEN = {
+    "pose": "poses of a target",
+    "point": "points of a target",
+    "planar": "points in a plane",
+    "length": "lengths",
+    "spherical": "range and angles of a target",
+}
+DH_HEADER = "joint,a [mm],d [mm],alpha [deg],theta [deg]"
+"""Of a table of the robot, a row per joint."""
+
+
+def undescribed(named: Sequence[str], fields: Sequence[Field]) -> UsageError:
+    """The error where not one file describes the robot; named: those that do; fields: of the
+    readings."""
+    remedy = "name exactly one of --urdf FILE, --dh FILE and --machine TYPE"
+    if named:
+        return UsageError(f"{' and '.join(named)} describes the robot", remedy=remedy)
+    joints = usual_joints(fields)
+    seen = instruments([f for f in fields if f not in joints])
+    parts = [f"{len(joints)} joints ({listed(f.label for f in joints)})"] if joints else []
+    parts += [
+        f"{_SEEN[s.kind]} ({listed(f.label for f in (*s.position, *s.turned))})" for s in seen
+    ]
+    stated = f"the readings hold {' and '.join(parts)}, but " if parts else ""
+    return UsageError(
+        f"{stated}nothing describes the robot",
+        remedy=f"{remedy}. dh.csv has a row per joint below the header {DH_HEADER}, theta where "
+        "the joint reads 0",
+    ).offering("ROBOT")
 
 
 def used(fields: Fields, robot: RobotFile) -> Fields:
