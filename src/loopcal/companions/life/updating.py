@@ -156,10 +156,10 @@ def updated(
         kept = np.setdiff1d(np.arange(len(data)), gone)
         data, stated = data.without_outliers(gone), stated and stated.take(kept)
         allowance = allowed(calibrated, data, since, stated)
-    drift, names = allowance.drift, calibrated.mechanism.parameters.names
+    drift, grown, names = allowance.drift, allowance.grown, calibrated.mechanism.parameters.names
     rows = [names.index(name) for name in stiff.mechanism.parameters.names]
     if not np.delete(drift, rows, axis=0).any():  # no other load is followed
-        calibrated, drift = stiff, drift[rows]
+        calibrated, drift, grown = stiff, drift[rows], None if grown is None else grown[rows]
     calibrated = calibrated.continuing
     held = stated is not None
     if stated is None:
@@ -205,7 +205,7 @@ def updated(
             else calibrated.terms
         )
         noted = () if held else calibrated.noise
-        either = _Either.of(result, allowance.grown, placed)
+        either = _Either.of(result, grown, placed)
         handed_on = Inherited(
             prior.widened(result) + either.covariance, terms, noted, calibrated.conditions
         )
