@@ -111,7 +111,7 @@ def zero_of(joint: str) -> str:
 
 def axis_parameters(joint: str, steps: Iterable[Step]) -> dict[str, Parameter]:
     """The parameters that move the axis of a joint, nominally 0."""
-    return {str(s.parameter): _geometry(s, joint, "of its axis") for s in steps if s.parameter}
+    return {str(s.parameter): _geometry(s, joint, f"at {joint}") for s in steps if s.parameter}
 
 
 def _geometry(step: Step, owner: str, where: str) -> Parameter:

@@ -216,7 +216,7 @@ def valid(document: ResultDocument) -> Fact:
         where=where,
         seen=worst.seen,
         joint=error.joint,
-        parameter=labels_of(document.parameters)[error.parameter],
+        parameter=labels_of(document.parameters).get(error.parameter, error.parameter),
         covered=f"{100.0 * covered:.0f}",
     )
 

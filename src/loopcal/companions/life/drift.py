@@ -363,7 +363,7 @@ def followed_words(change: Change, followed: Container[str]) -> str:
     every += ["the load"] if "load" in change.kinds else []
     every += [EXPANSION] if EXPANSION in causes else []
     what = " and ".join(every)
-    others = [one for one in every if one != change.where]
+    others = [one for one in every if one not in (change.name, change.where)]
     other = f", or {' or '.join(others)} did" if others else ""
     warm = _WARM if EXPANSION in causes else ""
     return f"Since the calibration, {change.words}{other}. The update estimates {what} anew.{warm}"
