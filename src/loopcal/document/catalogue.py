@@ -11,8 +11,13 @@ from collections.abc import Iterable, Mapping
 from functools import partial
 
 from loopcal.document.another_day import ANOTHER_DAY, TWO_MACHINES
-from loopcal.document.of_images import IN_IMAGES, LENS_LEAVES, OF_IMAGES, SCALE_BY_ONE
-from loopcal.document.shared_errors import SHARED_ERRORS
+from loopcal.document.of_images import (
+    IN_IMAGES,
+    LENS_LEAVES,
+    OF_IMAGES,
+    SCALE_BY_ONE,
+    SHARED_ERRORS,
+)
 from loopcal.document.verdict import SEVERITIES, Fact, Finding, Named, Row
 
 _AGAIN, _CHECK = "loopcal calibrate {project}", "loopcal check {project}"

@@ -1,4 +1,4 @@
-"""Rows of the catalogue on readings and poses of one moment, on images and on lenses."""
+"""Rows of the catalogue on readings of one moment or of one pose, on images and on lenses."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from functools import partial
 from loopcal.document.verdict import Row
 
 _not_sound = partial(Row, "sound", "refuse")
+_sound_open = partial(Row, "sound", "caution")
 _CHECK, _REPORT = "loopcal check {project}", "loopcal report {result}"
 MOMENT = "Read each pose while the machine stands, at the moment of its image or reading."
 # The order counts, as in the catalogue.
@@ -102,5 +103,22 @@ IN_IMAGES = (
         "No region of the image was left out to test the lens there.",
         "Validate on other images (--folds 10), of which there are ten or more.",
         "loopcal calibrate {project} --folds 10",
+    ),
+)
+SHARED_ERRORS = (
+    _sound_open(
+        "errors-shared",
+        "The targets share errors, which the stated regions take as independent: their residuals "
+        "in one pose are correlated by {correlation:2}.",
+        "State the sds of the joints and of the instruments. The fit then knows what they share.",
+        _CHECK,
+    ),
+    _sound_open(
+        "repeats-share-error",
+        "Repeats of a pose share an error: they scatter {ratio:2} times less than different poses "
+        "({p_value:p}). This method counts each row as independent, so its sds are too small.",
+        "Calibrate by the default method, which counts such repeats once, or average them.",
+        "loopcal calibrate {project} --method auto",
+        title="Repeats of a pose share an error.",
     ),
 )

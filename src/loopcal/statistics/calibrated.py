@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.document.choice import TermEntry
-from loopcal.document.findings import PrintedEntry, SmoothErrors
+from loopcal.document.findings import LensErrorEntry, PrintedEntry, SmoothErrors
 from loopcal.document.fit import ChiSquared, CovarianceEntry, NoiseEntry
 from loopcal.document.plain import symmetric
 from loopcal.document.result_document import ResultDocument
@@ -23,9 +24,11 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parallel.free_body import COLUMNS, POSITION
 from loopcal.small_samples import LearntCovariance
-from loopcal.statistics.lens_fields import LensField, lens_fields, together
 from loopcal.statistics.printed import Offsets
 from loopcal.statistics.scatter import Scatter, scatter
+
+if TYPE_CHECKING:
+    from loopcal.statistics.lens_fields import LensField
 
 
 @dataclass(frozen=True)
@@ -115,7 +118,7 @@ class Calibrated:
             pose_part=_square(result.pose_part, free, size),
             smooth_errors=result.smooth_errors,
             offsets=_offsets(result.printed, parameters.names, result.estimated),
-            fields=lens_fields(
+            fields=_fields(
                 () if result.lens_errors is None else result.lens_errors.entries,
                 np.eye(size)[:, free],
             ),
@@ -166,7 +169,7 @@ class Calibrated:
             pose_part=_square(stored_pose_part(document.covariance), free, len(names)),
             smooth_errors=None if stored is None else stored.smooth_errors,
             offsets=_offsets(None if stored is None else stored.printed, names, estimated),
-            fields=lens_fields(document.lens_errors, np.eye(len(names))[:, free]),
+            fields=_fields(document.lens_errors, np.eye(len(names))[:, free]),
         )
 
     @property
@@ -299,7 +302,7 @@ class Calibrated:
         """Without what lenses leave."""
         if not self.fields:
             return self
-        part = together(self.fields, len(self.nominal))
+        part = np.sum([one.covariance for one in self.fields], axis=0)
         covariance = self.covariance.widened(-part)
         return replace(self, covariance=covariance, gain=self.unwidened, fields=())
 
@@ -313,6 +316,14 @@ def _offsets(
     entry: PrintedEntry | None, names: Sequence[str], estimated: Sequence[str]
 ) -> Offsets | None:
     return None if entry is None else Offsets.of(entry, names, estimated)
+
+
+def _fields(entries: Sequence[LensErrorEntry], place: Array) -> tuple[LensField, ...]:
+    if not entries:
+        return ()
+    from loopcal.statistics.lens_fields import lens_fields  # of cameras alone
+
+    return lens_fields(entries, place)
 
 
 def _hidden(result: FitResult) -> dict[str, float]:

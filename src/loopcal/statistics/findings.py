@@ -31,6 +31,7 @@ from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.execution.executor import gathered
 from loopcal.execution.forked import process_cores
+from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.station import standing
 from loopcal.mechanisms.structure.structured import EFFECT
 from loopcal.presentation.brief import brief
@@ -38,6 +39,7 @@ from loopcal.statistics.case import Case, nominal_case
 from loopcal.statistics.change_points import apart, find_shifts
 from loopcal.statistics.changes import shift_lines
 from loopcal.statistics.conflicts import conflicts
+from loopcal.statistics.folds import may_repeat
 from loopcal.statistics.identifiability import (
     WhatDataSay,
     calibration_index,
@@ -52,7 +54,6 @@ from loopcal.statistics.predictor import Predictor, predictor, usual_words
 from loopcal.statistics.region import Span, region_of
 from loopcal.statistics.reliability import ReadingReliability, reliability
 from loopcal.statistics.scatter import Scatter, scatter
-from loopcal.statistics.shared_repeats import shared_by_repeats
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +111,21 @@ class Findings:
 Search = Callable[[FitResult], Any]
 
 
+def _repeats(result: FitResult) -> RepeatsEntry | None:
+    """Of a stated method, where poses may repeat."""
+    problem = result.problem
+    sd = np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)
+    names = problem.mechanism.tape.quantities
+    sds = dict(zip(names, np.median(sd, axis=1).tolist(), strict=True))
+    if result.parts.chosen or result.all_poses is not None:
+        return None
+    if not may_repeat(problem.mechanism, result.dataset, sds):
+        return None
+    from loopcal.statistics.shared_repeats import shared_by_repeats  # where poses repeat
+
+    return shared_by_repeats(result, Noise(sds))
+
+
 def findings(
     result: FitResult, region: Mapping[str, Span] | None = None, beside: Search | None = None
 ) -> Findings:
@@ -154,7 +170,7 @@ def findings(
             reliability(result),
             scatter(result),
             conflicts(result),
-            None if parts.chosen else shared_by_repeats(result),
+            _repeats(result),
         )
 
 

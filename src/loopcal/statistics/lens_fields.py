@@ -18,7 +18,6 @@ import numpy as np
 
 from loopcal.arrays import Array
 from loopcal.document.findings import LensErrorEntry
-from loopcal.estimation.dependence.lens_errors import waves
 
 # Chosen, not derived: as lenses and waves are compared, five points in the shortest half wave.
 _GRID = 25
@@ -48,6 +47,8 @@ class LensField:
         """(n, w) how the waves over an image of this size move the parameters."""
         if image == self.image:
             return self.moved
+        from loopcal.estimation.dependence.lens_errors import waves  # of cameras alone
+
         size = np.minimum(image, self.image)
         u, v = (side.ravel() for side in np.meshgrid(*np.outer(size, _PLACES)))
         mine, other = (waves(u / one[0], v / one[1]).T for one in (self.image, image))
@@ -62,11 +63,6 @@ def lens_fields(entries: Sequence[LensErrorEntry], place: Array) -> tuple[LensFi
         for one in entries
         if one.moved
     )
-
-
-def together(fields: Sequence[LensField], size: int) -> Array:
-    """(n, n) what the covariance of n parameters contains of all fields."""
-    return np.asarray(sum((one.covariance for one in fields), np.zeros((size, size))))
 
 
 def apart(

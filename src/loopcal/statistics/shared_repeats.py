@@ -138,7 +138,7 @@ class Means:
         return left >= 1.0 and bool(fdtr(freedom, left, square / freedom) < LEVEL)
 
 
-def shared_by_repeats(result: FitResult) -> RepeatsEntry | None:
+def shared_by_repeats(result: FitResult, noise: Noise) -> RepeatsEntry | None:
     """Repeats of a pose that share an error, in a fit that counts each row as independent.
 
     Of the whitened equations E_gi of a pose g with n_g rows, r each, and their means E_g,
@@ -152,13 +152,9 @@ def shared_by_repeats(result: FitResult) -> RepeatsEntry | None:
 
     problem = result.problem
     mechanism, data = problem.mechanism, result.dataset
-    if not result.status.converged or result.all_poses is not None or not _read(mechanism):
+    if not result.status.converged or not _read(mechanism) or problem.count != len(data):
         return None
-    if problem.count != len(data):
-        return None
-    sds = np.median(np.broadcast_to(problem.uncertainty.sd, problem.readings.shape), axis=1)
-    stated = Noise(dict(zip(mechanism.tape.quantities, sds.tolist(), strict=True)))
-    groups = same_poses(mechanism, data, stated)
+    groups = same_poses(mechanism, data, noise)
     number = np.bincount(groups)
     if number.max() < 2:
         return None
