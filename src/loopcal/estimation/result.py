@@ -26,6 +26,7 @@ from loopcal.estimation.dependence.dependence import (
     covariance_under,
     dependence,
 )
+from loopcal.estimation.dependence.seen import tested_equations
 from loopcal.estimation.document_parts import absorbed, data_entry, identifiability, shares
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.inherited import Inherited
@@ -291,9 +292,8 @@ class FitResult:
 
     @property
     def dependence(self) -> Dependence | None:
-        """Whether residuals of neighbouring poses are alike; None of a stream, under a loss, or
-        where the fit did not converge. Where they depend on the pose order, `covariance` is valid
-        under a drift that was learnt."""
+        """Whether residuals of neighbouring poses are alike; None of a stream, under a loss, or not
+        converged. Where they depend on the pose order, a learnt drift is in `covariance`."""
         return None if self._depending is None else self._depending.entry
 
     @cached_property
@@ -301,7 +301,7 @@ class FitResult:
         if not self._whole or self.taken_as_independent:
             return None
         with one_blas_thread():
-            return dependence(self.problem, self.solution, self.pose_equations())
+            return dependence(self.problem, self.solution, tested_equations(self))
 
     @property
     def robust_sums(self) -> RobustSums:

@@ -6,6 +6,7 @@ over a grid of the whole image.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,10 +15,13 @@ from scipy.spatial.transform import Rotation
 
 import loopcal as lc
 from loopcal.estimation.calibrate import calibrate
+from loopcal.estimation.dependence.dependence import LEVEL, likenesses
 from loopcal.estimation.dependence.lens_errors import _eyes, _Sums
 from loopcal.estimation.dependence.lens_errors import waves as stated_waves
+from loopcal.estimation.dependence.seen import tested_equations
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.fit_document import fit_document
+from loopcal.estimation.problem.pose_equations import PoseEquations
 from loopcal.estimation.result import FitResult
 from loopcal.mechanisms.cameras.lens import project
 from loopcal.statistics.calibrated import Calibrated
@@ -94,9 +98,14 @@ def field(random: np.random.Generator) -> tuple[Array, dict[str, float]]:
 
 
 def images(
-    random: np.random.Generator, b: Array, best: dict[str, float], count: int = 20
+    random: np.random.Generator,
+    b: Array,
+    best: dict[str, float],
+    count: int = 20,
+    pairs: bool = False,
 ) -> tuple[Array, Array, float]:
-    """Poses of the board (N, 4, 4), their pixels without noise, and what the best lens leaves."""
+    """Poses of the board (N, 4, 4), their pixels without noise, and what the best lens leaves;
+    pairs: poses of the second half stand near those of the first."""
     xyz = np.array(list(POINTS.values())).T
     inside = np.linalg.inv(placed(EYE))
     T: list[Array] = []
@@ -107,6 +116,9 @@ def images(
         tilt = random.uniform(0.2, 0.7) * np.array([*random.standard_normal(2), 0.0])
         C[:3, :3] = Rotation.from_rotvec(tilt).as_matrix() @ np.diag([1.0, -1.0, -1.0])
         C[:3, 3] = random.uniform((-0.2, -0.15, 0.35), (0.2, 0.15, 0.6))
+        if pairs and len(T) >= count // 2:
+            C = placed(EYE) @ T[len(T) - count // 2]
+            C[:3, 3] += random.uniform(-5e-3, 5e-3, 3)
         X = C[:3, :3] @ xyz + C[:3, 3:]
         p = pixels(X, LENS)
         p = p + b @ waves(p)
@@ -125,7 +137,7 @@ class Draw(NamedTuple):
     left: float
 
 
-def calibrated(seed: int, *, odd: bool, day: int = 0) -> Draw:
+def calibrated(seed: int, *, odd: bool, day: int = 0, pairs: bool = False) -> Draw:
     """Of poses of a robot and images; odd: with a field; day: of the images of one lens."""
     random = np.random.default_rng(seed)
     b, best = field(random)
@@ -133,7 +145,7 @@ def calibrated(seed: int, *, odd: bool, day: int = 0) -> Draw:
         random = np.random.default_rng([seed, day])
     if not odd:
         b, best = 0.0 * b, LENS
-    T, uv, left = images(random, b, best)
+    T, uv, left = images(random, b, best, 60 if pairs else 20, pairs)
     uv = uv + random.normal(0.0, CORNER, uv.shape)
     off = T.copy()
     turns = Rotation.from_rotvec(random.normal(0.0, 1e-4, (len(T), 3))).as_matrix()
@@ -270,3 +282,33 @@ def test_a_field_over_an_image_of_another_size_is_the_same_field() -> None:
     there = one.over(small)[:, smooth]
     np.testing.assert_allclose(there, np.kron(np.eye(2), of_small)[:, smooth], atol=0.03)
     assert one.over(large) is one.moved
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_images_that_stand_alike_share_the_field_and_no_error_of_the_machine(seed: int) -> None:
+    """Their residuals are alike, and without the field that the images show they are not."""
+    result = calibrated(seed, odd=True, pairs=True).result
+    bare = tested_equations(result)
+
+    def chance(equations: Sequence[PoseEquations]) -> float:
+        (one,) = likenesses(result.problem, result.solution, equations).instruments
+        assert one.spatial is not None
+        return one.spatial.p_value
+
+    assert chance(result.pose_equations()) < LEVEL
+    assert chance(bare) > LEVEL
+    assert result.dependence is not None
+    assert not result.dependence.spatial
+    # What parameters would take of the field is gone as well: the fit is where it was.
+    pulls = [
+        sum(np.einsum("brn,br->n", one.D, one.E) for one in equations)
+        for equations in (bare, result.pose_equations())
+    ]
+    root = result.solution.spectrum.root
+    assert np.abs(root.T @ (pulls[0] - pulls[1])).max() < 0.1
+
+
+def test_without_a_field_the_tested_equations_are_those_of_the_fit() -> None:
+    result = calibrated(0, odd=False).result
+    for one, bare in zip(result.pose_equations(), tested_equations(result), strict=True):
+        assert np.array_equal(one.E, bare.E)

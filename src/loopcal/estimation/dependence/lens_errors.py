@@ -30,7 +30,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -39,6 +39,8 @@ from numpy.typing import NDArray
 from loopcal.arrays import Array
 from loopcal.document.findings import LensErrorEntry
 from loopcal.estimation.cameras.pixels import by_value, pixels, rays
+from loopcal.estimation.dependence.seen import Solved
+from loopcal.estimation.problem.pose_equations import PoseEquations, pose_equations
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.products import rows_times
 from loopcal.estimation.solve.kernel import TurnedImages
@@ -70,11 +72,14 @@ _GRID = 25
 
 @dataclass(frozen=True, eq=False)
 class LensErrors:
-    """moved: M (n, w) [SI]; spectrum: (w,) the mean of t L; entries: what each lens leaves."""
+    """moved: M (n, w) [SI]; spectrum: (w,) the mean of t L; entries: what each lens leaves; eyes,
+    field: (w,) the mean of b, 0 of a camera whose images rather show none."""
 
     moved: Array
     spectrum: Array
     entries: tuple[LensErrorEntry, ...]
+    eyes: tuple[_Eye, ...]
+    field: Array
 
     @property
     def covariance(self) -> Array:
@@ -85,14 +90,43 @@ class LensErrors:
         """(N, m, m) what that of S (N, m, n) times the estimate gains."""
         return np.asarray(rows_times(S, self.covariance) @ np.swapaxes(S, -1, -2))
 
+    def left(self, result: Solved) -> tuple[PoseEquations, ...]:
+        """The equations of a fit as its residuals without the mean field leave them.
+
+        Images that stand alike see the same of the field, so that their residuals are alike.
+        """
+        equations, at = result.pose_equations(), result.solution
+        if not self.field.any():
+            return equations
+        shift = np.zeros_like(result.problem.readings)
+        for eye, part in zip(self.eyes, _parts(self.eyes), strict=True):
+            u, v = (eye.rows[j::2] for j in (0, 1))
+            at_lens = result.problem.readings + at.corrections
+            F = eye.waves(np.nan_to_num(at_lens[u]), np.nan_to_num(at_lens[v]))
+            for rows, b in zip((u, v), np.split(self.field[part], 2), strict=True):
+                shift[rows] = np.tensordot(b, F, 1)
+        made = replace(result.problem, readings=result.problem.readings - shift)
+        # The loops stay closed. What the parameters would take of the field leaves as well.
+        bare = pose_equations(made, at.parameters, at.corrections + shift)
+        root = at.spectrum.root
+        step = root @ (root.T @ (_gradient(bare) - _gradient(equations)))
+        return tuple(replace(block, E=block.E - block.D @ step) for block in bare)
+
+
+def _gradient(equations: Sequence[PoseEquations]) -> Array:
+    """D^T E (n,)."""
+    parts = [np.einsum("brn,br->n", one.D, one.E) for one in equations]
+    return np.asarray(np.sum(parts, axis=0))
+
 
 class _Learnt(NamedTuple):
     """spectrum: (w,) the mean of t L; rms [px]: of the mean field, where there is one; gain: of -2
-    log."""
+    log; field: (w,) the mean of b, 0 where there is rather none."""
 
     spectrum: Array
     rms: float
     gain: float
+    field: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +180,7 @@ def lens_errors(problem: Problem, solution: Solution) -> LensErrors | None:
     freedom = sums.count - root.shape[1]
     if freedom <= 0 or not square > 0.0:
         return None
-    moved, spectra, entries = _moved(sums, solution, eyes), [], []
+    moved, spectra, entries, means = _moved(sums, solution, eyes), [], [], []
     for eye, part, pixel in zip(eyes, _parts(eyes), sums.pixels, strict=True):
         ZE = sums.ZE[part] - eye.best @ sums.DE[eye.lens]
         cross = eye.best @ sums.DZ[eye.lens, part]
@@ -156,9 +190,10 @@ def lens_errors(problem: Problem, solution: Solution) -> LensErrors | None:
         taken = A.T @ inverse
         learnt = _learnt(eye, ZZ - taken @ A, ZE - taken @ toward, (square, freedom, pixel))
         spectra.append(learnt.spectrum)
+        means.append(learnt.field)
         of_waves = tuple(learnt.spectrum.tolist()), tuple(map(tuple, moved[:, part].tolist()))
         entries.append(LensErrorEntry(eye.name, learnt.rms, learnt.gain, eye.size, *of_waves))
-    return LensErrors(moved, np.concatenate(spectra), tuple(entries))
+    return LensErrors(moved, np.concatenate(spectra), tuple(entries), eyes, np.concatenate(means))
 
 
 def _parts(eyes: Sequence[_Eye]) -> list[slice]:
@@ -206,7 +241,8 @@ def _learnt(eye: _Eye, C: Array, g: Array, noise: tuple[float, int, float]) -> _
     weights /= weights.sum() + _NONE * len(weights) * math.exp(-0.5 * gain)
     shares = (weights * np.array(sizes)).reshape(len(_LENGTHS), -1).sum(axis=1)
     rms = math.sqrt(max(float(mean @ eye.seen @ mean), 0.0))
-    return _Learnt(np.asarray(shares @ np.array(spectra)), rms, gain)
+    likely = weights.sum() > 0.5
+    return _Learnt(np.asarray(shares @ np.array(spectra)), rms, gain, likely * mean)
 
 
 @dataclass(frozen=True, eq=False)
