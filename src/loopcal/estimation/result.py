@@ -26,7 +26,7 @@ from loopcal.estimation.dependence.dependence import (
     covariance_under,
     dependence,
 )
-from loopcal.estimation.dependence.seen import tested_equations
+from loopcal.estimation.dependence.seen import residual_equations
 from loopcal.estimation.document_parts import absorbed, data_entry, identifiability, shares
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.inherited import Inherited
@@ -301,7 +301,7 @@ class FitResult:
         if not self._whole or self.taken_as_independent:
             return None
         with one_blas_thread():
-            return dependence(self.problem, self.solution, tested_equations(self))
+            return dependence(self.problem, self.solution, residual_equations(self))
 
     @property
     def robust_sums(self) -> RobustSums:

@@ -70,7 +70,7 @@ class Solved(Protocol):
         """Of every pose where it ended."""
 
 
-def tested_equations(result: Solved) -> tuple[PoseEquations, ...]:
+def residual_equations(result: Solved) -> tuple[PoseEquations, ...]:
     """The equations of a fit whose residuals are tested: without what its lenses leave."""
     errors = result.lens_errors
     return result.pose_equations() if errors is None else errors.left(result)
