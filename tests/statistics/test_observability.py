@@ -114,7 +114,7 @@ def test_data_beside_the_prior_by_hand() -> None:
     learned = {entry.parameter: entry for entry in said.learned}
     assert learned["b"].ratio == pytest.approx(1.0, rel=1e-12)
     assert learned["b"].words.startswith(
-        "the data do not determine 'b': sd 0.0200 1 of prior 0.0200"
+        "the data do not determine 'b': sd 0.0200 of prior 0.0200"
     )
     J = np.column_stack([data["u"], np.ones(40)]) / SD
     C = np.linalg.inv(J.T @ J + np.diag([1e2, 1.0]))

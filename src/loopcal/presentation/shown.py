@@ -38,8 +38,9 @@ def size(value: float | None, unit: str, digits: int = 4, *, fine: bool = False)
 
 
 def with_unit(value: float | None, unit: str, digits: int = 3, *, fine: bool = False) -> str:
-    """An SI value in the unit shown, with that unit."""
-    return f"{size(value, unit, digits, fine=fine)} {unit_shown(unit, fine=fine)}"
+    """An SI value in the unit shown, with that unit where it has one."""
+    shown = size(value, unit, digits, fine=fine)
+    return shown if unit == "1" else f"{shown} {unit_shown(unit, fine=fine)}"
 
 
 def in_unit(value: float, unit: str, *, fine: bool = False) -> float:

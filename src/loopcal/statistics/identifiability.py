@@ -147,7 +147,7 @@ def _learned(
             continue
         ratio = sd / prior
         shown = SHOWN.get(unit, unit)
-        both = f"sd {_in(sd, shown)} {shown} of prior {_in(prior, shown)}"
+        both = f"sd {_with(sd, shown)} of prior {_in(prior, shown)}"
         verdict = f"the data determine {name!r}"
         if ratio > 1.0 + 1e-6:  # only a method that leaves the prior unused gets here
             verdict = f"{name!r} is determined more by its prior than by the data"
@@ -229,7 +229,7 @@ def _weak_direction(
         steps = {names[i]: float(moves[i]) for i in leading}
         shown = [SHOWN.get(units[i], units[i]) for i in leading]
         shifts = [
-            f"{names[i]} {_in(float(moves[i]), u, sign=True)} {u}"
+            f"{names[i]} {_with(float(moves[i]), u, sign=True)}"
             for i, u in zip(leading, shown, strict=True)
         ]
         words += f"; one sd along it: {', '.join(shifts)}"
@@ -250,6 +250,12 @@ def _size(system: Spectrum, which: int, unit_sd: float | None, lengths: Array) -
 def _in(value: float, unit: str, *, sign: bool = False) -> str:
     text = significant(float(from_si(value, unit)), 3)
     return f"+{text}" if sign and value > 0 else text
+
+
+def _with(value: float, unit: str, *, sign: bool = False) -> str:
+    """A value [SI] with its unit, where it has one."""
+    text = _in(value, unit, sign=sign)
+    return text if unit == "1" else f"{text} {unit}"
 
 
 def _list(names: Sequence[str]) -> str:
