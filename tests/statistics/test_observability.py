@@ -113,9 +113,7 @@ def test_data_beside_the_prior_by_hand() -> None:
     ).identifiability
     learned = {entry.parameter: entry for entry in said.learned}
     assert learned["b"].ratio == pytest.approx(1.0, rel=1e-12)
-    assert learned["b"].words.startswith(
-        "the data do not determine 'b': sd 0.0200 of prior 0.0200"
-    )
+    assert learned["b"].words.startswith("the data do not determine 'b': sd 0.0200 of prior 0.0200")
     J = np.column_stack([data["u"], np.ones(40)]) / SD
     C = np.linalg.inv(J.T @ J + np.diag([1e2, 1.0]))
     assert learned["a"].ratio == pytest.approx(math.sqrt(C[0, 0]) / 0.1, rel=1e-9)
