@@ -26,7 +26,6 @@ from loopcal.estimation.dependence.dependence import (
     covariance_under,
     dependence,
 )
-from loopcal.estimation.dependence.seen import residual_equations
 from loopcal.estimation.document_parts import absorbed, data_entry, identifiability, shares
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.inherited import Inherited
@@ -128,10 +127,12 @@ class FitResult:
         used = 0 if self.prints is None else round(self.prints.freedom)
         return self.solution.equations + informed - self.spectrum.rank - used
 
-    def pose_equations(self) -> tuple[PoseEquations, ...]:
-        """The equations of every pose where the fit ended, whitened as its method does."""
-        at = self.solution
-        return pose_equations(self.problem, at.parameters, at.corrections)
+    def pose_equations(self, *, bare: bool = False) -> tuple[PoseEquations, ...]:
+        """The equations of every pose where the fit ended, whitened as its method does; bare: to
+        test residuals, without what lenses leave of them."""
+        at, errors = self.solution, self.lens_errors if bare else None
+        made = pose_equations(self.problem, at.parameters, at.corrections)
+        return made if errors is None else errors.left(self.problem, at, made)
 
     @cached_property
     def value(self) -> Mapping[str, float]:
@@ -188,9 +189,8 @@ class FitResult:
     def covariance_through(self, S: Array, drifting: Drifting | None) -> LearntCovariance:
         """For predictions, without `pose_part`: of S (N, m, n) times the estimate, with a drift."""
         if drifting is not None:
-            under_drift = covariance_under(
-                drifting, self.problem, self.solution, self.pose_equations()
-            )
+            equations = self.pose_equations()
+            under_drift = covariance_under(drifting, self.problem, self.solution, equations)
             covariance = LearntCovariance.certain(under_drift).through(S)
         else:
             learnt = None if self.variance_factor_applied else self.learnt
@@ -301,7 +301,7 @@ class FitResult:
         if not self._whole or self.taken_as_independent:
             return None
         with one_blas_thread():
-            return dependence(self.problem, self.solution, residual_equations(self))
+            return dependence(self.problem, self.solution, self.pose_equations(bare=True))
 
     @property
     def robust_sums(self) -> RobustSums:

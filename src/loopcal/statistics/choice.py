@@ -36,7 +36,6 @@ from loopcal.arrays import Array
 from loopcal.document.change_points import NOT_SEARCHED
 from loopcal.document.choice import Candidate, Chosen, comparison
 from loopcal.estimation.dependence.dependence import likenesses
-from loopcal.estimation.dependence.seen import residual_equations
 from loopcal.estimation.plausible import CODE as CONTRADICTED
 from loopcal.estimation.result import FitResult
 from loopcal.estimation.solve.scratch import one_blas_thread, release_memory, reuse_memory
@@ -496,7 +495,7 @@ def _tell_order(judged: Sequence[Judged], ordered: Sequence[Judged], over: list[
     plain = (one for one in judged if not (one.entrant.structured or one.entrant.drawn))
     for one in plain:
         if (whole := one.whole) is not None and not one.failed:
-            tests = likenesses(whole.problem, whole.solution, residual_equations(whole))
+            tests = likenesses(whole.problem, whole.solution, whole.pose_equations(bare=True))
             if tests.serial:
                 i = ordered.index(one)
                 over[i] = replace(over[i], serial=tests.serial[0].serial)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from loopcal.arrays import Array
 from loopcal.chi_squared import tail
 from loopcal.estimation.dependence.dependence import joint_rows, pose_order
-from loopcal.estimation.dependence.seen import Errors, instruments, residual_equations
+from loopcal.estimation.dependence.seen import Errors, instruments
 from loopcal.estimation.problem.pose_equations import rounding_left
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.products import rows_times
@@ -502,7 +502,7 @@ class _Factor:
 def ordered_system(result: FitResult) -> OrderedSystem:
     """The system of a calibration in memory."""
     problem, solution = result.problem, result.solution
-    equations, precision = residual_equations(result), problem.precision
+    equations, precision = result.pose_equations(bare=True), problem.precision
     N, n, k = len(problem.poses), len(problem.free), len(problem.readings)
     R = max((block.E.shape[1] for block in equations), default=0)
     E, D, X = np.zeros((N, R)), np.zeros((N, R, n)), np.zeros((N, R, k))

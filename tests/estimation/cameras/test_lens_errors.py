@@ -18,7 +18,6 @@ from loopcal.estimation.calibrate import calibrate
 from loopcal.estimation.dependence.dependence import LEVEL, likenesses
 from loopcal.estimation.dependence.lens_errors import _eyes, _Sums
 from loopcal.estimation.dependence.lens_errors import waves as stated_waves
-from loopcal.estimation.dependence.seen import residual_equations
 from loopcal.estimation.fit import Fit
 from loopcal.estimation.fit_document import fit_document
 from loopcal.estimation.problem.pose_equations import PoseEquations
@@ -288,7 +287,7 @@ def test_a_field_over_an_image_of_another_size_is_the_same_field() -> None:
 def test_images_that_stand_alike_share_the_field_and_no_error_of_the_machine(seed: int) -> None:
     """Their residuals are alike, and without the field that the images show they are not."""
     result = calibrated(seed, odd=True, pairs=True).result
-    bare = residual_equations(result)
+    bare = result.pose_equations(bare=True)
 
     def chance(equations: Sequence[PoseEquations]) -> float:
         (one,) = likenesses(result.problem, result.solution, equations).instruments
@@ -311,5 +310,5 @@ def test_images_that_stand_alike_share_the_field_and_no_error_of_the_machine(see
 
 def test_without_a_field_the_residual_equations_are_those_of_the_fit() -> None:
     result = calibrated(0, odd=False).result
-    for one, bare in zip(result.pose_equations(), residual_equations(result), strict=True):
+    for one, bare in zip(result.pose_equations(), result.pose_equations(bare=True), strict=True):
         assert np.array_equal(one.E, bare.E)

@@ -291,7 +291,7 @@ def _sifted(
     computed |= {column for o in mechanism.orientations for column in o.columns}
     units = mechanism.units
     bare = {*units} - computed - gaps
-    # A column without values, as of a platform that nobody reads, states no pose.
+    # An empty column, such as that of an unmeasured platform, limits no pose.
     readings = {q: v for q, v in poses.readings.items() if q in bare and not np.isnan(v).all()}
     for q in beyond_freedoms(mechanism, [*readings]):
         del readings[q]

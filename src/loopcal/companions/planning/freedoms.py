@@ -14,7 +14,7 @@ def moved_quantities(mechanism: Mechanism) -> list[str]:
 
 
 def freedoms_of(mechanism: Mechanism) -> int:
-    """Quantities that loops leave free: each output has a loop of its own."""
+    """How many quantities are free: each loop equation determines one of the others."""
     errors = {*mechanism.disturbances}
     quantities = [q for q in mechanism.tape.quantities if q not in errors]
     return len(quantities) - len(mechanism.tape.loops)

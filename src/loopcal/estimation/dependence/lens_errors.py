@@ -39,7 +39,6 @@ from numpy.typing import NDArray
 from loopcal.arrays import Array
 from loopcal.document.findings import LensErrorEntry
 from loopcal.estimation.cameras.pixels import by_value, pixels, rays
-from loopcal.estimation.dependence.seen import Solved
 from loopcal.estimation.problem.pose_equations import PoseEquations, pose_equations
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.products import rows_times
@@ -90,22 +89,23 @@ class LensErrors:
         """(N, m, m) what that of S (N, m, n) times the estimate gains."""
         return np.asarray(rows_times(S, self.covariance) @ np.swapaxes(S, -1, -2))
 
-    def left(self, result: Solved) -> tuple[PoseEquations, ...]:
+    def left(
+        self, problem: Problem, at: Solution, equations: tuple[PoseEquations, ...]
+    ) -> tuple[PoseEquations, ...]:
         """The equations of a fit as its residuals without the mean field leave them.
 
         Images that stand alike see the same of the field, so that their residuals are alike.
         """
-        equations, at = result.pose_equations(), result.solution
         if not self.field.any():
             return equations
-        shift = np.zeros_like(result.problem.readings)
+        shift = np.zeros_like(problem.readings)
         for eye, part in zip(self.eyes, _parts(self.eyes), strict=True):
             u, v = (eye.rows[j::2] for j in (0, 1))
-            at_lens = result.problem.readings + at.corrections
+            at_lens = problem.readings + at.corrections
             F = eye.waves(np.nan_to_num(at_lens[u]), np.nan_to_num(at_lens[v]))
             for rows, b in zip((u, v), np.split(self.field[part], 2), strict=True):
                 shift[rows] = np.tensordot(b, F, 1)
-        made = replace(result.problem, readings=result.problem.readings - shift)
+        made = replace(problem, readings=problem.readings - shift)
         # The loops stay closed. What the parameters would take of the field leaves as well.
         bare = pose_equations(made, at.parameters, at.corrections + shift)
         root = at.spectrum.root

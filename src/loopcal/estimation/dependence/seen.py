@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +21,6 @@ from loopcal.estimation.problem.error_modes import image_modes, units_of
 from loopcal.estimation.problem.pose_equations import PoseEquations
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.products import rows_times
-from loopcal.estimation.solve.solution import Solution
 from loopcal.mechanisms.mechanism import PIXELS, Family
 
 
@@ -42,38 +40,6 @@ class Seen:
     def read(self) -> NDArray[np.bool_]:
         """(N,) the poses in which anything was read."""
         return np.asarray(np.einsum("nqq->n", self.M) > 0.0)
-
-
-class Lens(Protocol):
-    """What lenses leave of the residuals of a fit."""
-
-    def left(self, result: Solved) -> tuple[PoseEquations, ...]:
-        """Its equations without that."""
-
-
-class Solved(Protocol):
-    """What a test of residuals needs of a fit."""
-
-    @property
-    def problem(self) -> Problem:
-        """Of its poses."""
-
-    @property
-    def solution(self) -> Solution:
-        """Where it ended."""
-
-    @property
-    def lens_errors(self) -> Lens | None:
-        """Of its cameras."""
-
-    def pose_equations(self) -> tuple[PoseEquations, ...]:
-        """Of every pose where it ended."""
-
-
-def residual_equations(result: Solved) -> tuple[PoseEquations, ...]:
-    """The equations of a fit whose residuals are tested: without what its lenses leave."""
-    errors = result.lens_errors
-    return result.pose_equations() if errors is None else errors.left(result)
 
 
 def instruments(problem: Problem) -> tuple[Family, ...]:
