@@ -38,8 +38,8 @@ PATIENCE = 600
 """Seconds after which a user gives up."""
 THE_FLEET = "the fleet"
 """The kind of first day whose machines later days verify."""
-FOLLOWED = {"day 2: zero": (), "day 2: tool": ("--remounted",), "day 2: bend": ()}
-"""Days that `update` follows, with what its user states."""
+STATED = {"day 2: tool": ("--remounted",)}
+"""What the user of `update` states of a day; `update` follows every later day."""
 RIVALS = ("nominal", "least squares")
 RIVAL_POINTS = "rivals.json"
 QUESTIONS = ("sound", "valid", "better")
@@ -185,14 +185,17 @@ def _later(kind: Kind, draw: int, root: Path) -> Draw:
         answer |= _compact(json.loads(done.stdout), planted)
     except json.JSONDecodeError:
         answer["refused"] = True
-    if kind.name in FOLLOWED:
-        out = f"{name}-updated"
-        shutil.rmtree(folder / out, ignore_errors=True)
-        (folder / f"{out}-inside.csv").unlink(missing_ok=True)
-        state = ["--out", out, "--no-report", *FOLLOWED[kind.name]]
-        done = asked(folder, "update", CALIBRATION, file, *state)
-        updated = {"exit": done.returncode, "error": done.stderr[-400:]}
-        answer["updated"] = updated | {"true": _true(out, folder, true)}
+    out = f"{name}-updated"
+    shutil.rmtree(folder / out, ignore_errors=True)
+    (folder / f"{out}-inside.csv").unlink(missing_ok=True)
+    options = ["--out", out, "--no-report", *STATED.get(kind.name, ())]
+    done = asked(folder, "update", CALIBRATION, file, *options)
+    answer["updated"] = {"exit": done.returncode, "error": done.stderr[-400:]}
+    if (folder / out / "result.json").exists():
+        result = json.loads((folder / out / "result.json").read_text("utf-8"))
+        answer["updated"] |= {"sound": result["verdict"]["sound"]["passed"]}
+        answer["updated"] |= {"code": result["verdict"]["sound"]["code"]}
+        answer["updated"] |= _updated(out, folder, true)
     return answer
 
 
@@ -278,6 +281,14 @@ def _true(result: str, folder: Path, true: Array) -> float | None:
     """The error of a calibration on a later day, wherever its instrument stands [m]."""
     stated = predicted(result, folder, "inside")
     return None if stated is None else _rms(away(stated[0], true))
+
+
+def _updated(result: str, folder: Path, true: Array) -> Draw:
+    """The same of an update, beside the sd that its predictions state [m]."""
+    stated = predicted(result, folder, "inside")
+    if stated is None:
+        return {"true": None}
+    return {"true": _rms(away(stated[0], true)), "sd": _rms(np.linalg.norm(stated[1], axis=1))}
 
 
 def _far(points: Array, true: Array) -> Array:

@@ -249,14 +249,17 @@ def _coverage(clean: Sequence[Draw]) -> list[str]:
 def _updated(later: Sequence[Draw]) -> list[str]:
     lines = []
     for kind in sorted({d["kind"] for d in later if "updated" in d}):
-        its = [d for d in later if d["kind"] == kind and d["updated"]["true"]]
+        its = [d for d in later if d["kind"] == kind and d["updated"].get("true")]
         if its:
             before = np.array([d["true"] for d in its])
             after = np.array([d["updated"]["true"] for d in its])
+            ratios = after / [d["updated"]["sd"] for d in its]
+            sound = np.array([bool(d["updated"]["sound"]) for d in its])
             lines.append(
                 f"update after {kind}: true error, median {1e3 * np.median(before):.3f} mm before, "
                 f"{1e3 * np.median(after):.3f} after; better in {(after < before).sum()} of "
-                f"{len(its)}, exit 0 in {sum(d['updated']['exit'] == 0 for d in its)}"
+                f"{len(its)}, sound in {sound.sum()}, of them wrong "
+                f"{(sound & (ratios > BEYOND)).sum()}; true over stated {np.mean(ratios):.2f}"
             )
     return [*lines, ""] if lines else []
 

@@ -221,14 +221,15 @@ def test_the_tables_count_alarms_names_and_confident_errors() -> None:
         first("points in inches", 2.0, told="x in inches"),
         first("points in inches", 2.0, sound=False) | {"draw": 1},
         later(ANOTHER, Planted("")),
-        later(ZERO_DAY, ZERO, passed=False) | {"updated": {"true": 5e-5, "exit": 0}},
+        later(ZERO_DAY, ZERO, passed=False)
+        | {"updated": {"true": 5e-5, "sd": 3e-5, "sound": True}},
     ]
     text = rates.tables(draws)
     assert "first day: false alarms on clean kinds        50.0 % of    2" in text
     assert "first day: causes named                       50.0 % of    2" in text
     assert "first day: confident and wrong                25.0 % of    4" in text
     assert "later day: false alarms on clean kinds         0.0 % of    1" in text
-    assert "better in 1 of 1, exit 0 in 1" in text
+    assert "better in 1 of 1, sound in 1, of them wrong 1; true over stated 1.67" in text
     assert "(95 % interval 1.3 to 98.7 %)" in text
 
 
