@@ -280,6 +280,17 @@ def test_another_board_is_refused_with_the_point_that_differs(first: Path, tmp_p
         verified(first, folder)
 
 
+def test_images_of_another_size_are_refused_with_their_factor(first: Path, tmp_path: Path) -> None:
+    """Binned two by two: what a lens of half the focal length shows is no moved camera."""
+    folder = day(tmp_path, 7, 8)
+    head, *lines = (folder / "corners.csv").read_text("utf-8").splitlines()
+    rows = [line.rsplit(",", 2) for line in lines]
+    binned = [",".join([a, *(f"{(float(x) + 0.5) / 2 - 0.5:.4f}" for x in uv)]) for a, *uv in rows]
+    (folder / "corners.csv").write_text("\n".join([head, *binned]) + "\n", "utf-8")
+    with refused("conflicting-keys", "0.5 times", "u = (u + 0.5) / 0.5 - 0.5"):
+        verified(first, folder)
+
+
 def test_an_image_in_another_order_is_put_right_with_a_warning(first: Path, tmp_path: Path) -> None:
     folder = day(tmp_path, 7, 8)
     names = list(POINTS)

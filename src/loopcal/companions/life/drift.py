@@ -83,7 +83,7 @@ class Allowance:
 
     drift: (n_all, k) steps [SI] of one sd of each independent change; check: whether the readings
     are of the calibrated machine after it; words: a remark on each change that the check found and
-    the update follows; grown: (n_all,) of a scale that is followed, per unit; None without one.
+    the update follows; grown: (2, n_all) of a scale that is followed (`Drifting.grown`).
     """
 
     drift: Array
@@ -251,12 +251,12 @@ class Drifting:
         return np.array(columns).reshape(-1, size).T
 
     def grown(self, followed: Container[str]) -> Array | None:
-        """(n_all,) what the scale of all that is measured changes, per unit, where it is followed:
-        another scale of the instrument does the same."""
+        """(2, n_all) what a scale changes, per unit, where it is followed: that of the machine, and
+        of the machine and what is mounted, as another scale of the instrument does."""
         if EXPANSION not in followed:
             return None
-        mounted = self._steps.get(_TOOLS)
-        return self._steps[EXPANSION] + (0.0 if mounted is None else mounted)
+        machine = self._steps[EXPANSION]
+        return np.array([machine, machine + self._steps.get(_TOOLS, 0.0)])
 
     @property
     def zeros(self) -> dict[str, Array]:

@@ -159,7 +159,7 @@ def updated(
     drift, grown, names = allowance.drift, allowance.grown, calibrated.mechanism.parameters.names
     rows = [names.index(name) for name in stiff.mechanism.parameters.names]
     if not np.delete(drift, rows, axis=0).any():  # no other load is followed
-        calibrated, drift, grown = stiff, drift[rows], None if grown is None else grown[rows]
+        calibrated, drift, grown = stiff, drift[rows], None if grown is None else grown[:, rows]
     calibrated = calibrated.continuing
     held = stated is not None
     if stated is None:
@@ -205,7 +205,7 @@ def updated(
             else calibrated.terms
         )
         noted = () if held else calibrated.noise
-        either = _Either.of(result, grown, placed)
+        either = _Either.of(result, grown, prior, placed.anew)
         handed_on = Inherited(
             prior.widened(result) + either.covariance, terms, noted, calibrated.conditions
         )
@@ -355,7 +355,10 @@ class _Either:
     """A scale s that is followed: that of the machine changed, or that of what measures it.
 
     These poses do not show which. Of the machine the truth is s, of the instrument 0, each as
-    likely: about the estimate s that is a variance of s^2 / 2, along g, what a scale changes.
+    likely: about the estimate s that is a variance of s^2 / 2, along all that a scale changes. With
+    K the rows of the prior, r = K (p - p_0) and g what a scale of the machine alone changes, s is
+    that of generalised least squares, s = g^T K^T r / |K g|^2: parts that the earlier poses hardly
+    knew say little of it.
     covariance: (n, n) [SI] that it adds to the estimated parameters; scales: of the document.
     """
 
@@ -363,16 +366,21 @@ class _Either:
     scales: tuple[ScaleEntry, ...] = ()
 
     @classmethod
-    def of(cls, result: FitResult, grown: Array | None, placed: Replaced) -> _Either:
-        """grown: (n_all,) per unit of the scale; placed: where the machine stood."""
+    def of(
+        cls, result: FitResult, grown: Array | None, prior: _Prior, anew: NDArray[np.bool_]
+    ) -> _Either:
+        """grown: (2, n_all), see `Drifting.grown`; anew: (n_all,) what was placed anew."""
         free = list(result.problem.free)
-        if grown is None or not (g := np.where(placed.anew, 0.0, grown)[free]).any():
+        if grown is None or not (kept := np.where(anew, 0.0, grown)[:, free]).any():
             return cls(np.zeros((len(free), len(free))))
-        weights = g / (g @ g)
-        scale = weights @ (result.solution.parameters - placed.parameters)[free]
+        machine, every = kept
+        change = prior.at(result.solution.parameters)
+        along = change.slopes @ machine
+        weights = along @ change.slopes / (along @ along)
+        scale = along @ change.values / (along @ along)
         sd = np.sqrt(weights @ result.spectrum.covariance() @ weights)
         entry = scale_of_all(result.problem, float(scale), float(sd))
-        return cls(0.5 * scale**2 * np.outer(g, g), (entry,))
+        return cls(0.5 * scale**2 * np.outer(every, every), (entry,))
 
 
 class _WithPrior(InMemory):

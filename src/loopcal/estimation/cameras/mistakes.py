@@ -7,8 +7,8 @@ is never changed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
@@ -38,6 +38,8 @@ from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.placement import inverse
 from loopcal.presentation.shown import significant
 
+RESIZED, TURNED = "intrinsics-of-another-size", "intrinsics-turned"
+"""Facts of images that are not in the format that the intrinsics are of."""
 CLEAR = 0.6
 """Twenty images of two residuals each: log likelihood ratio 40 ln(1 / 0.6) = 20."""
 THINNED = (60, 12)
@@ -75,7 +77,7 @@ class Suspicion:
     """Another reading of the files, or None where it makes no sense for them.
 
     share: it leaves less than that of what the best one before it leaves; poses: how it changes
-    those of the flange (`hand_changes`).
+    those of the flange (`hand_changes`); values: numbers of its fact.
     """
 
     code: str
@@ -83,6 +85,7 @@ class Suspicion:
     change: Callable[[Reading], Reading | None]
     share: float = 1.0
     poses: str = ""
+    values: Mapping[str, float] = field(default_factory=dict)
 
 
 def corrected(reading: Reading, held: bool | None) -> tuple[Reading, list[Fact]]:
@@ -214,7 +217,7 @@ def _better(
     best = None if reason is None else reason.change(reading)
     if best is None or reason is None:
         return reading, []
-    values: dict[str, float | str] = {"px_before": before, "px_after": after}
+    values: dict[str, float | str] = {"px_before": before, "px_after": after, **reason.values}
     fact = Fact(reason.code, reason.sentence, values, applied=True, poses=reason.poses)
     return replace(best, held=held), [fact]
 
@@ -549,19 +552,21 @@ def _lens_suspicions(cameras: tuple[str, ...]) -> Iterator[Suspicion]:
             lambda one, a=a, b=b: exchanged(one, a, b),  # type: ignore[misc]
         )
     for turn in ("exchanged", "clockwise", "counterclockwise", "half"):
-        angle = "180" if turn == "half" else "90"
+        angle = 180.0 if turn == "half" else 90.0
         yield Suspicion(
-            "intrinsics-turned",
-            f"The stated intrinsics fit images turned by {angle} degrees. State them for the "
+            TURNED,
+            f"The stated intrinsics fit images turned by {angle:g} degrees. State them for the "
             "images as they are: the principal point moves.",
             lambda one, turn=turn: turned(one, turn),  # type: ignore[misc]
+            values={"degrees": angle},
         )
     for factor in SIZES:
         yield Suspicion(
-            "intrinsics-of-another-size",
+            RESIZED,
             f"The stated intrinsics fit images of {1.0 / factor:.4g} times this size: multiply "
             f"f and c by {factor:.4g}.",
             lambda one, factor=factor: resized(one, factor),  # type: ignore[misc]
+            values={"factor": factor},
         )
     yield Suspicion(
         "principal-point",

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 
 from loopcal.errors import InputError, listed
+from loopcal.estimation.cameras.facts import Fact
+from loopcal.estimation.cameras.mistakes import RESIZED, TURNED
 from loopcal.files.cameras.folder import files_of, read_files
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.machines.mechanism_writer import mechanism_table
@@ -51,12 +53,34 @@ def later_images(
     hand = _hand(files.poses, mechanism).read_as(flange)
     on_body = {one.name: one.on_body for one in cameras}
     project, _ = understood(files, hand, {camera: not on_body[eye] for camera, eye in eyes.items()})
+    _refuse_another_format(project.begun.facts)
     for words in doubts(project):
         warnings.warn(words, stacklevel=2)
     data = project.dataset
     pixels = {q for family in mechanism.families for q in family.readings}
     unseen = {q: np.full(len(data), np.nan) for q in pixels - data.readings.keys()}
     return replace(data.with_readings(unseen), places=project.places)
+
+
+def _refuse_another_format(facts: Sequence[Fact]) -> None:
+    """Raise InputError for images that were resized or turned since the calibration: no camera
+    changes so, and its learnt lens would be taken for a machine that did."""
+    for fact in facts:
+        if fact.code == RESIZED:
+            factor = float(fact.values["factor"])
+            raise InputError(
+                f"the images are {factor:.4g} times as wide and high as those of the calibration",
+                code="conflicting-keys",
+                remedy="use images of the size of the calibration's, or corners in its pixels: "
+                f"u = (u + 0.5) / {factor:.4g} - 0.5, and v likewise",
+            )
+        if fact.code == TURNED:
+            raise InputError(
+                f"the images are turned by {fact.values['degrees']:g} degrees beside those of the "
+                "calibration",
+                code="conflicting-keys",
+                remedy="use images with the same side up as those of the calibration",
+            )
 
 
 def later_poses(
