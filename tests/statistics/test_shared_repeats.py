@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import loopcal as lc
-from loopcal.measurements.averaged import averaged
 from loopcal.statistics.another_day import day_problem
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.folds import may_repeat
 from loopcal.statistics.predictive import held_problem
+from loopcal.statistics.shared_repeats import averaged
 from loopcal.statistics.validation import Validation
 from tests.reference.simulated import arm_at, planar_arm
 

@@ -16,17 +16,17 @@ without n_g would be chi-squared.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.chi_squared import tail
 from loopcal.document.findings import RepeatsEntry
 from loopcal.estimation.problem.pose_equations import PoseEquations, pose_equations
 from loopcal.estimation.result import FitResult
-from loopcal.measurements.averaged import averaged
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.effects.backlash import directions
@@ -247,3 +247,37 @@ def day_as_means(
     )
     source = replace(means.source, read_as=" ".join(filter(None, [data.source.read_as, words])))
     return replace(means, source=source), taken(noise, first)
+
+
+def averaged(data: Dataset, groups: NDArray[np.intp], read: Collection[str]) -> Dataset:
+    """The poses of the same group (N,) as one, by the means of their readings.
+
+    read: those whose errors are independent, so that a mean of n has the variance sd^2 / n; of all
+    others repeats share one error. A pose keeps the id of its first row.
+    """
+    _, first, of = np.unique(groups, return_index=True, return_inverse=True)
+    single = np.ones(len(data))
+
+    def mean(values: Array, weights: Array = single) -> Array:
+        number = np.bincount(of, weights * np.isfinite(values))
+        sums = np.bincount(of, weights * np.nan_to_num(values))
+        means = np.divide(sums, number, out=np.full(len(first), np.nan), where=number > 0.0)
+        # Equal readings stay equal to the last digit: a joint that stands still is known by that.
+        alike = np.bincount(of, values != values[first][of]) == 0
+        return np.asarray(np.where(alike, values[first], means))
+
+    independent = {*read} & {*data.readings}
+    counts = {q: data.counts.get(q, single) * np.isfinite(data.readings[q]) for q in independent}
+    gone = tuple(data.poses[i] for i in np.setdiff1d(np.arange(len(data)), first))
+    source = replace(
+        data.source,
+        rows_read=data.source.rows_read or len(data),
+        averaged=(*data.source.averaged, *gone),
+        judged=True,
+    )
+    return replace(
+        replace(data, source=source).take(first),
+        readings={q: mean(v, counts.get(q, single)) for q, v in data.readings.items()},
+        sds={q: np.sqrt(mean(np.square(v))) for q, v in data.sds.items()},
+        counts={q: np.maximum(np.bincount(of, number), 1.0) for q, number in counts.items()},
+    )

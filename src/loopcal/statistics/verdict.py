@@ -424,13 +424,11 @@ def _beyond(document: ResultDocument, unit: str) -> float:
     return math.sqrt(more * chi_squared.quantile(0.05, 3) / 3.0)
 
 
-# The share that all pages state.
-SHARE = 0.95
-"""Of all poses that shall lie within the tolerance."""
 # The level that all pages state.
 CONFIDENCE = 0.95
 _NORMAL = 1.6448536269514722
-"""The quantile of the standard normal distribution at `SHARE`."""
+"""Quantile of the standard normal distribution at 0.95, the share of all poses that shall lie
+within the tolerance."""
 # Two distances have an sd with one degree of freedom, whose bounds say nothing.
 _FEWEST = 3
 
