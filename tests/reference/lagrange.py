@@ -57,23 +57,31 @@ class DenseLagrange:
         self.shape = (len(tape.loops), k, len(nominal), poses)
 
     def linearised(self, c: NDArray, p: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-        """f (m, N), df/dx (k, m, N), df/dp (n, m, N); complex where c or p are."""
-        m, k, n, poses = self.shape
-        x, everywhere = self.readings + c, np.broadcast_to(p[:, None], (n, poses))
-        out = loop_values(self.slopes, x, everywhere)
+        """f (m, N), df/dx (k, m, N), df/dp (n, m, N); complex where c or p are.
+
+        For many places at once of c (k, d, N) and p (n, d), ahead of N in what is returned.
+        """
+        m, k, n, _ = self.shape
+        shape = np.broadcast_shapes(c.shape[1:], (*p.shape[1:], 1))
+        x = (self.readings if c.ndim == 2 else self.readings[:, None]) + c
+        out = loop_values(self.slopes, x, np.broadcast_to(p[..., None], (n, *shape)))
         return (
             out[:m],
-            out[m : m + k * m].reshape(k, m, poses),
-            out[m + k * m :].reshape(n, m, poses),
+            out[m : m + k * m].reshape(k, m, *shape),
+            out[m + k * m :].reshape(n, m, *shape),
         )
 
     def gradient(self, c: NDArray, p: NDArray, multipliers: NDArray) -> tuple[NDArray, ...]:
-        """Gradient of the Lagrangian by c (k, N) and by p (n,), and the loops f (m, N)."""
+        """Gradient of the Lagrangian by c (k, N) and by p (n,), and the loops f (m, N).
+
+        Or of many places at once, as in `linearised`.
+        """
         f, by_x, by_p = self.linearised(c, p)
-        by_c = np.einsum("bij,jb->ib", self.precision, c) + np.einsum(
-            "kmb,mb->kb", by_x, multipliers
+        by_c = np.einsum("bij,j...b->i...b", self.precision, c) + np.einsum(
+            "km...b,mb->k...b", by_x, multipliers
         )
-        by_p = self.prior_precision @ (p - self.nominal) + np.einsum("nmb,mb->n", by_p, multipliers)
+        offset = p - (self.nominal if p.ndim == 1 else self.nominal[:, None])
+        by_p = self.prior_precision @ offset + np.einsum("nm...b,mb->n...", by_p, multipliers)
         return by_c, by_p, f
 
     def matrix(self, c: Array, p: Array, multipliers: Array, *, exact: bool) -> Array:
@@ -101,24 +109,21 @@ class DenseLagrange:
         return K
 
     def _add_curvature(self, K: Array, c: Array, p: Array, multipliers: Array) -> None:
-        _, _, n, poses = self.shape
+        _, k, n, poses = self.shape
         u, at_p = len(self.free), poses * len(self.free)
-        for position, row in enumerate(self.free):
-            moved = c.astype(complex)
-            moved[row] += 1j * STEP  # poses do not see each other's corrections
-            by_c, _, _ = self.gradient(moved, p, multipliers)
-            slope = np.imag(by_c)[self.free] / STEP
-            for b in range(poses):
-                own = slice(b * u, b * u + u)
-                K[own, b * u + position] = slope[:, b]
-        for j in range(n):
-            shifted = p.astype(complex)
-            shifted[j] += 1j * STEP
-            by_c, by_p, _ = self.gradient(c, shifted, multipliers)
-            column = np.imag(by_c)[self.free].T.ravel() / STEP
-            K[:at_p, at_p + j] = column
-            K[at_p + j, :at_p] = column
-            K[at_p : at_p + n, at_p + j] = np.imag(by_p) / STEP
+        # One place for each row; poses do not see each other's corrections.
+        moved = c[:, None] + 1j * STEP * np.eye(k)[:, self.free, None]
+        by_c, _, _ = self.gradient(moved, p[:, None], multipliers)
+        slope = np.imag(by_c)[self.free] / STEP
+        for b in range(poses):
+            own = slice(b * u, b * u + u)
+            K[own, own] = slope[:, :, b]
+        shifted = p[:, None] + 1j * STEP * np.eye(n)
+        by_c, by_p, _ = self.gradient(c[:, None], shifted, multipliers)
+        columns = np.imag(by_c)[self.free].transpose(2, 0, 1).reshape(at_p, n) / STEP
+        K[:at_p, at_p : at_p + n] = columns
+        K[at_p : at_p + n, :at_p] = columns.T
+        K[at_p : at_p + n, at_p : at_p + n] = np.imag(by_p) / STEP
 
     def solve(self, p: Array, c: Array | None = None, iterations: int = 12) -> Stationary:
         """Newton's method from parameters p and corrections c (default 0), undamped."""

@@ -50,12 +50,12 @@ def test_repeats_that_share_an_error_count_as_one_reading() -> None:
     squares = []
     for seed in range(10):
         result = lc.calibrate(ARM.truth, repeats(seed, shared=True), noise=NOISE, method="auto")
-        assert len(result.document.data.averaged) == POSES * (TIMES - 1)
+        assert len(result.unjudged.data.averaged) == POSES * (TIMES - 1)
         assert len(result.poses) == POSES
         squares.append(square(result))
     # 4.3 where each repeat counts for itself; the mean of ten has an sd of about 0.2
     assert np.mean(squares) < 1.6
-    warned = [w for w in result.document.data.warnings() if "repeat an earlier pose" in w]
+    warned = [w for w in result.unjudged.data.warnings() if "repeat an earlier pose" in w]
     assert len(warned) == 1
 
 
@@ -92,20 +92,20 @@ def test_many_repeats_of_one_pose_in_between_count_as_one_reading() -> None:
         data = between_poses(seed, 12)
         result = lc.calibrate(ARM.truth, data, noise=NOISE, method="auto")
         squares.append(square(result))
-        assert len(result.document.data.averaged) == 12
+        assert len(result.unjudged.data.averaged) == 12
     assert np.mean(squares) < 2.0
 
 
 def test_few_repeats_in_between_show_a_drift_and_stay() -> None:
     result = lc.calibrate(ARM.truth, between_poses(1, 2), noise=NOISE, method="auto")
-    assert not result.document.data.averaged
+    assert not result.unjudged.data.averaged
 
 
 def test_repeats_that_err_for_themselves_count_each() -> None:
     squares = []
     for seed in range(6):
         result = lc.calibrate(ARM.truth, repeats(seed, shared=False), noise=NOISE, method="auto")
-        assert not result.document.data.averaged
+        assert not result.unjudged.data.averaged
         squares.append(square(result))
     assert 0.3 < np.mean(squares) < 2.0
 

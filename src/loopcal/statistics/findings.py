@@ -137,7 +137,7 @@ def findings(
     solution = result.solution
     with one_blas_thread():
         prediction = predictor(result)
-        searches: tuple[Search, ...] = (_shifts, find_columns, find_poses)
+        searches: tuple[Search, ...] = (_shifts, find_columns, _poses)
         if beside is not None:
             searches = (beside, *searches)  # whoever asks does the first piece
         *_, shifts, columns, outliers = gathered(process_cores(), _searched, result, searches)
@@ -184,6 +184,11 @@ def _shifts(result: FitResult) -> Shifts:
         return NOT_SEARCHED
     searched = result.parts.shifts
     return find_shifts(result) if searched is None else searched
+
+
+def _poses(result: FitResult) -> Outliers:
+    """Poses that are wrong; not sought where columns are, which make every pose look so."""
+    return of_file(result.faults) if result.faults else find_poses(result)
 
 
 def as_fitted(result: FitResult, point: ChangePoint, points: Sequence[ChangePoint]) -> ChangePoint:

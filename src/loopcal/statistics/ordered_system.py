@@ -254,7 +254,7 @@ class Fitted:
             self._factor.log_determinant - float(self.z @ self._drawn) - float(np.log(smooth).sum())
         )
 
-    @property
+    @cached_property
     def spare(self) -> float:
         """Degrees of freedom that are left."""
         count = float(self.system.count.sum())

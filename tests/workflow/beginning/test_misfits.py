@@ -45,7 +45,7 @@ def test_an_image_with_a_wrong_pose_is_left_out_beside_wrong_corners(tmp_path: P
     result = lc.calibrate(
         project.mechanism, project.dataset, noise=project.noise, method="implicit-loop"
     )
-    f = {p.name: p for p in result.document.parameters}["cam_f"]
+    f = {p.name: p for p in result.unjudged.parameters}["cam_f"]
     assert f.sd is not None
     assert abs(f.value - one.rig.lens[0]) < 4.0 * f.sd
 
