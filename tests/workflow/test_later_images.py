@@ -129,6 +129,19 @@ def test_another_camera_is_named(
     assert "states other poses" not in answer.words
 
 
+@pytest.mark.parametrize("off", [0.5, 1.0])
+def test_half_a_pixel_each_way_is_another_count_of_pixels(
+    first: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, off: float
+) -> None:
+    lens = test_camera.LENS
+    shifted = replace(lens, cx=lens.cx + off, cy=lens.cy + off)
+    monkeypatch.setattr(test_camera, "LENS", shifted)
+    done = verified(first, day(tmp_path, 7, 25))
+    assert done.changes is not None
+    assert done.changes.code == ("pixels-counted" if off == 0.5 else "images-changed")
+    assert ("counts pixels" in (done.verdict["consistent"].next or "")) == (off == 0.5)
+
+
 def test_a_camera_is_shifted_as_its_centre_is_and_turned(
     first: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

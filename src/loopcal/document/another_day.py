@@ -135,6 +135,15 @@ ANOTHER_DAY = (
         shared="changed",
     ),
     _not_consistent(
+        "pixels-counted",
+        _NOT_AS_CALIBRATED,
+        "Check how this file counts pixels: half a pixel each way lies between files where the "
+        "centre of the first pixel is 0 and files where it is 0.5. If it is the same as before, "
+        "check the focus of the lens.",
+        _VERIFY,
+        shared="changed",
+    ),
+    _not_consistent(
         "day-delayed",
         "Poses and readings of this day are not of one moment: {changes}.",
         f"{MOMENT} Then verify again.",

@@ -249,6 +249,18 @@ class WhatChanged:
         return eye if names <= {eye, f"{eye}_f", points[0]} else ""
 
     @property
+    def _half_a_pixel(self) -> bool:
+        """Whether the principal point alone changed, and by half a pixel each way within its 95 %
+        interval: the centre of the first pixel is 0 in some files and 0.5 in others."""
+        if len(self.found) != 1 or not self.found[0].name.startswith(PRINCIPAL_POINT):
+            return False
+        (change,) = self.found
+        half = 0.5 * (change.high - change.low)
+        off = [*change.parts.values()]
+        alike = len(off) == 2 and off[0] * off[1] > 0.0
+        return alike and all(abs(abs(by) - 0.5) < half < 0.25 for by in off)
+
+    @property
     def code(self) -> str:
         """Of the fact that these changes are."""
         if self.verdict in ("unchanged", DRIFT_OR_CHANGE):
@@ -273,7 +285,7 @@ class WhatChanged:
         if self.found and mounted:
             return "camera-moved" if kinds == {"camera"} else "mounting-changed"
         if kinds and kinds <= _OF_IMAGES:
-            return "images-changed"
+            return "pixels-counted" if self._half_a_pixel else "images-changed"
         if any(change.conditional for change in self.found):
             return "conditions-first"
         stated = not any(one.kind == "mounting" for one in self.candidates)
