@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -11,18 +10,14 @@ import numpy as np
 from nicegui import ui
 
 from loopcal.companions.app import words
+from loopcal.companions.app.cells import bad_cells, columns
 from loopcal.companions.app.controls import folded, offer, text, uploader
 from loopcal.companions.app.pictures import joints_of, machine_figure, moved
 from loopcal.companions.app.scene import Scene
 from loopcal.companions.app.view import View, heading, plot, table
-from loopcal.errors import LoopcalError
-from loopcal.files.project.data_table import FileTable
 from loopcal.files.project.project_data import LoadedData
 from loopcal.files.project.project_file import Project
-from loopcal.files.tables.cells import Cells, is_missing, is_number
-from loopcal.files.tables.readers import read_table
 from loopcal.files.tables.registry import BY_ENDING
-from loopcal.files.tables.table import Table
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.outputs import Seen, seen_outputs
 from loopcal.presentation.shown import in_unit, unit_shown
@@ -40,8 +35,6 @@ PAGE = 12
 """Rows of a page of a table of readings, where it does not fit on two of them."""
 ROWS = 2_000
 """Rows of readings shown; of more the first ones."""
-MOST = 200
-"""Bad cells that are listed."""
 
 
 def show(view: View) -> None:
@@ -252,56 +245,3 @@ def corners_read(data: Dataset, i: int, image: Seen) -> str:
     """How many corners of a pose's image are read, of all."""
     read = sum(np.isfinite(data[q][i]) for q in image.position if q in data.readings)
     return f"{read // 2} of {image.points}"
-
-
-@dataclass(frozen=True)
-class BadCell:
-    """A cell that is no number; row: in the file; pose: its id; text: what it says."""
-
-    file: str
-    row: int
-    pose: str
-    column: str
-    text: str
-
-
-def columns(project: Project) -> list[str]:
-    """Names of the columns of all files of readings."""
-    return list(dict.fromkeys(name for table, _ in _tables(project) for name in table.names))
-
-
-def bad_cells(project: Project) -> list[BadCell]:
-    """Cells of the columns in use that hold something else than a number, row by row.
-
-    Blank cells, which stand for what was not measured, and poses left out are none.
-    """
-    cells = []
-    for file_table, spec in _tables(project):
-        pose, out = spec.options.get("pose"), {str(p) for p in spec.options.get("exclude", ())}
-        try:
-            ids = file_table.ids(-1 if pose is None else file_table.position(pose))
-            used = {file_table.position(column.column) for column in spec.columns.values()}
-        except LoopcalError:
-            continue
-        for at in sorted(used - {-1}):
-            for i, value in _wrong(file_table.columns[at], file_table.decimal):
-                if ids[i] not in out:
-                    row = int(file_table.rows[i])
-                    cells.append(BadCell(file_table.file, row, ids[i], file_table.label(at), value))
-    return sorted(cells, key=lambda cell: (cell.file, cell.row))[:MOST]
-
-
-def _wrong(cells: Cells, decimal: str) -> Iterator[tuple[int, str]]:
-    for i, cell in enumerate(cells):
-        # NaN alone differs from itself.
-        if not is_missing(cell) and cell == cell and not is_number(cell, decimal):
-            yield i, str(cell)
-
-
-def _tables(project: Project) -> Iterator[tuple[Table, FileTable]]:
-    """The files that can be read, and how the project reads them."""
-    for spec in () if project.data is None else project.data.parts:
-        try:
-            yield read_table(project.folder / spec.file, **spec.keywords), spec
-        except LoopcalError:
-            continue
