@@ -31,6 +31,7 @@ from loopcal.document.change_points import (
 )
 from loopcal.document.choice import Candidate, Chosen, TermEntry, TermPart
 from loopcal.document.findings import (
+    CheckEntry,
     ColumnFault,
     ConflictEntry,
     DelayEntry,
@@ -119,6 +120,8 @@ FINDINGS: dict[str, tuple[str, Any, bool | None]] = {
     "scales-unlike": ("scales", (ScaleEntry(("point_2",), 1e-4, 1e-5, 1e-9, 1e-3),), None),
     "scale-off-the-drawing": ("scales", (ScaleEntry((), 1e-4, 1e-5, 1e-9, 1e-3),), None),
     "scale-since": ("scales", (ScaleEntry((), 1e-4, 1e-5, 1e-9, 1e-3),), None),
+    "update-mixed": ("check", CheckEntry(False, "tool moved."), False),
+    "update-moved": ("check", CheckEntry(None, "Something may have moved."), None),
     "joint-scale": ("scales", (ScaleEntry((), 2e-3, 1e-4, 1e-9, 1e-3, joint="q4"),), None),
     "range-zero": ("scales", (ScaleEntry(("point",), 2e-3, 1e-4, 1e-9, 1e-3, "m"),), None),
     "observations-conflict": ("conflicts", (ConflictEntry("x", 6e-3, 1e-3, "m", 1e-9),), None),

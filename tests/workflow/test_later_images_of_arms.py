@@ -16,10 +16,10 @@ from loopcal.statistics.verified import Verification
 IMAGES = 8
 
 
-def files(rig: Rig, seed: int, folder: Path) -> Path:
+def files(rig: Rig, seed: int, folder: Path, images: int = IMAGES) -> Path:
     """A folder of images of a rig, with the table of the robot among them."""
     rng = np.random.default_rng([48, seed])
-    q = poses(rig, IMAGES, rng)
+    q = poses(rig, images, rng)
     uv = rig.pixels(rig.flange(q))
     read = q + rig.encoder * rng.normal(size=q.shape)
     Shots(rig, q, read, uv + rig.corner * rng.normal(size=uv.shape)).write(folder)
@@ -86,3 +86,38 @@ def test_a_zero_is_named_where_corners_are_missing(first: tuple[Rig, Path], tmp_
     assert done.verdict["consistent"].code == "re-master"
     assert done.changes is not None
     assert [change.name for change in done.changes.found] == ["theta_3"]
+
+
+def scattered(verification: Verification) -> dict[str, float]:
+    changes = verification.changes
+    assert changes is not None
+    assert not verification.shifts.found
+    assert not verification.verdict["consistent"].passed
+    return dict(changes.scatter)
+
+
+def test_a_zero_is_named_beside_joints_that_scatter(
+    first: tuple[Rig, Path], tmp_path: Path
+) -> None:
+    rig, result = first
+    links = list(rig.arm.links)
+    links[2] = replace(links[2], offset=links[2].offset + np.radians(0.3))
+    shaken = replace(rig, encoder=15.0 * rig.encoder, arm=replace(rig.arm, links=tuple(links)))
+    done = verified(result, files(shaken, 5, tmp_path / "day-2", images=15))
+    scatter = scattered(done)
+    assert [*scatter] == ["joints"]
+    assert 8.0 < scatter["joints"] < 30.0
+    assert done.changes is not None
+    (change,) = done.changes.found
+    assert "theta_3" in change.zeros
+
+
+def test_blurred_corners_are_no_change(first: tuple[Rig, Path], tmp_path: Path) -> None:
+    rig, result = first
+    blurred = replace(rig, corner=3.0 * rig.corner)
+    done = verified(result, files(blurred, 6, tmp_path / "day-2", images=15))
+    scatter = scattered(done)
+    assert [*scatter] == ["readings"]
+    assert 2.7 < scatter["readings"] < 3.3
+    assert done.changes is not None
+    assert not done.changes.found

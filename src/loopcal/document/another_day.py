@@ -175,12 +175,45 @@ ANOTHER_DAY = (
         _REPORT,
         detail="That moves the points by {moves:2} (rms); the stated sds allow for either.",
     ),
+    Row(
+        "sound",
+        "refuse",
+        "update-mixed",
+        "The update mixes two machines: its readings are not of the one that was calibrated.",
+        "Read the warning on what differs. Calibrate anew, or update with other poses.",
+        _REPORT,
+    ),
+    Row(
+        "sound",
+        "caution",
+        "update-moved",
+        "The update may follow what happened on one day alone: {words}",
+        "Measure the poses in random order, and update with these.",
+        _REPORT,
+    ),
     _not_consistent(
         "errors-larger",
         "These poses err {times:2} times as much as the calibration states: {rms:3} rms instead of "
         "{expected:3}.",
         "Inspect the worst poses. Calibrate anew.",
         _PAGE,
+    ),
+    _not_consistent(
+        "joints-scatter",
+        "{what} scatter {times:2} times as much as the calibration states, in each pose anew"
+        "{sizes}.",
+        "Check that the machine stands still while a pose is measured, that joints and readings "
+        "are of one moment, and that nothing is loose. Then measure and verify again.",
+        _VERIFY,
+        shared="errors-larger",
+    ),
+    _not_consistent(
+        "readings-scatter",
+        "{what} scatter {times:2} times as much as the calibration states{sizes}.",
+        "Check the instrument and its surroundings; of a camera the focus, the light and how "
+        "corners are detected. Then measure and verify again.",
+        _VERIFY,
+        shared="errors-larger",
     ),
     _not_consistent(
         "misfit-larger",

@@ -31,6 +31,15 @@ class Undetermined:
 
 
 @dataclass(frozen=True)
+class CheckEntry:
+    """Whether the readings of an update are of the machine that was calibrated; null: open."""
+
+    passed: bool | None
+    words: str
+    """What differs."""
+
+
+@dataclass(frozen=True)
 class Learned:
     """A parameter that had a prior: what the data added to it."""
 

@@ -12,6 +12,7 @@ from loopcal.document.accuracy import AccuracyEntry, Distances, ModelEntry, Vali
 from loopcal.document.change_points import ChangePoints, Dependence, Reliability, Shifts
 from loopcal.document.choice import Candidate, Chosen, TermEntry
 from loopcal.document.findings import (
+    CheckEntry,
     ColumnFault,
     ConflictEntry,
     DelayEntry,
@@ -281,6 +282,9 @@ class ResultDocument:
     repeats: RepeatsEntry | None = None
     """Repeats of a pose beside different poses, where they share an error that a stated method
     takes as independent; null: they do not, or are counted once."""
+    check: CheckEntry | None = None
+    """Of an update, where its readings differ from the calibration by more than it follows; null:
+    they do not, or this is none."""
     data: DataEntry
     warnings: tuple[str, ...]
     """What the summary warns of."""
@@ -480,7 +484,7 @@ class Parts:
     shifts: what it saw along the run where it modelled nothing;
     intervals: profile intervals by parameter; tolerance [SI], region: what the verdict judges;
     files: names of project and result, for command lines; None where there are no names;
-    scales: those that an update follows.
+    scales: those that an update follows; check: of an update, by which readings differ.
     """
 
     title: str | None = None
@@ -504,3 +508,4 @@ class Parts:
     region: Mapping[str, tuple[float, float]] | None = None
     files: Mapping[str, str] | None = None
     scales: tuple[ScaleEntry, ...] = ()
+    check: CheckEntry | None = None

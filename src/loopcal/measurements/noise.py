@@ -192,14 +192,16 @@ class ReadingUncertainty:
 
     def of_means(self, counts: Array) -> ReadingUncertainty:
         """The uncertainty of means of so many independent readings, (k, N)."""
-        roots = np.sqrt(counts)
-        blocks = tuple(
-            CovarianceBlock(
-                b.indices, b.factor / np.sqrt(counts[list(b.indices)].min(axis=0))[:, None, None]
-            )
-            for b in self.blocks
-        )
-        return ReadingUncertainty(self.sd / roots, blocks, self.sources)
+        return self.times(1.0 / np.sqrt(counts))
+
+    def times(self, factors: Array) -> ReadingUncertainty:
+        """With so many times the sds, (k, 1) or (k, N); of a covariance the largest factor."""
+        blocks = []
+        for b in self.blocks:
+            by = factors[list(b.indices)].max(axis=0)
+            by = by[:, None, None] if len(by) > 1 else by[0]
+            blocks.append(CovarianceBlock(b.indices, b.factor * by))
+        return ReadingUncertainty(self.sd * factors, tuple(blocks), self.sources)
 
     def of(self, chosen: NDArray[np.intp] | slice) -> ReadingUncertainty:
         """The uncertainty in some poses, by their positions."""

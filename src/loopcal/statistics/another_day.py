@@ -18,6 +18,7 @@ from loopcal.estimation.problem.problem import Problem, build_problem, taken
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import MODEL, Noise
 from loopcal.statistics.calibrated import Calibrated
+from loopcal.statistics.day_noise import AS_STATED, DayNoise
 from loopcal.statistics.innovation import Linearised, components_of
 from loopcal.statistics.joint_errors import JointErrors
 from loopcal.statistics.possible_changes import (
@@ -38,7 +39,7 @@ class Day:
     problem: at the calibrated parameters, all of which count as estimated; freed: names of what
     is found anew; places: of these roughly, by images alone; moved: what changed along the run, by
     any size; drift: what may have drifted along it, by name, with its sd [SI]; joints: errors that
-    their poses share.
+    their poses share; noise: of its readings, where they scatter more than stated.
     """
 
     calibrated: Calibrated
@@ -48,6 +49,7 @@ class Day:
     moved: tuple[ChangePoint, ...] = ()
     drift: Mapping[str, float] = field(default_factory=dict)
     joints: JointErrors | None = None
+    noise: DayNoise = AS_STATED
 
     @classmethod
     def of(
@@ -124,7 +126,12 @@ class Day:
         placement = self.placed(changes)
         drift = self._drift(placement) if self.drift else None
         made = Linearised.of(placement, self.calibrated, self._columns(placement), drift)
+        made = made.unsurer(self.noise.freedom)
         return made if self.joints is None else self.joints.within(made)
+
+    def noisier(self, noise: DayNoise) -> Day:
+        """The day with readings that scatter so much more than stated."""
+        return replace(self, problem=noise.within(self.problem), noise=noise)
 
     def _drift(self, placement: Replaced) -> NDArray[np.float64]:
         """(R, q) of what may have drifted, by one sd over the run."""

@@ -28,6 +28,7 @@ def calibration_document(fit: ResultDocument, parts: Parts) -> ResultDocument:
         change_points=parts.change_points,
         outliers=parts.discarded or None,
         scales=parts.scales or None,
+        check=parts.check,
         warnings=(
             *parts.about_readings,
             *fit.warnings,

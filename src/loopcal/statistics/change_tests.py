@@ -79,11 +79,12 @@ within this of those of the change."""
 
 @dataclass(frozen=True, eq=False)
 class Explained:
-    """What changed; linear: the equations after it, columns (R, d): of these changes."""
+    """What changed; linear: the equations after it; columns (R, d): of it; every (R, m): of all."""
 
     what: WhatChanged
     linear: Linearised
     columns: Array
+    every: Array
 
 
 def what_changed(day: Day, linear: Linearised) -> Explained | None:
@@ -136,9 +137,10 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
             chosen, system, left = chosen[:1], alone, alone.innovation(chosen[:1]).p_value
     changes = system.changes(chosen, p_values, rivals)
     verdict = changed.verdict_of(whole.p_value, changes, left) if sought else "unchanged"
-    moved = causes.changes(system.t)
-    what = WhatChanged(verdict, changes, begun.tested(), whole, begun.spread, left, moved)
-    return Explained(what, system.linear, system.columns(chosen))
+    tested, moved = begun.tested(), causes.changes(system.t)
+    what = WhatChanged(verdict, changes, tested, whole, begun.spread, left, moved)
+    few = [i for i, one in enumerate(causes.causes) if one.of_few]
+    return Explained(what, system.linear, system.columns(chosen), system.columns(few))
 
 
 def _without(
@@ -221,7 +223,7 @@ class _System:
     present: the innovation at t; value: that as if nothing had changed; U: (R, m) the directions,
     less what the placement takes up; visible: (m,); group: of each cause the first with the same
     column; freedom: (m,) degrees of freedom of the variance of each direction; linear: the
-    equations at t; every: all causes but loads without mass together; scale: of S, by these poses;
+    equations at t; every: all causes together (`of_few`); scale: of S, by these poses;
     scale_freedom: its degrees of freedom, None if as stated; spread: `changed.larger` of it.
     """
 
@@ -262,12 +264,10 @@ class _System:
         scale = np.sqrt(np.where(visible, np.diag(G), 1.0))
         alike = G / scale / scale[:, None]
         group, freedom = _groups(causes, alike, visible), linear.freedom(raw)
-        # A load without mass has so many parts that with them too little is left to show a scale.
-        few = np.array([one.kind != "load" or len(one.names) < 2 for one in causes.causes])
+        few = np.array([one.of_few for one in causes.causes])
         rows = np.flatnonzero(visible & (group[causes.owner] == causes.owner) & few[causes.owner])
-        every = Estimated.of(
-            (g / scale)[rows], alike[np.ix_(rows, rows)], np.ones(len(rows)), _SAME
-        )
+        unit = np.ones(len(rows))
+        every = Estimated.of((g / scale)[rows], alike[np.ix_(rows, rows)], unit, _SAME)
         wider, wider_freedom, spread = 1.0, None, 1.0
         left = len(linear.e) - linear.rank - every.rank
         if (day.calibrated.carried or day.calibrated.rejected is not None) and left >= _ENOUGH:

@@ -203,7 +203,9 @@ class WhatChanged:
     verdict: unchanged, re-master, calibrate-anew or drift-or-change; found: the changes, in the
     order of the search; candidates: all that was tested; test: of the whole; spread: by how much
     these poses vary more than stated, where that is sure and no change; left: p-value of the whole
-    after these changes, None without redundancy; moved: what the changes move [SI], by name.
+    after these changes, None without redundancy; moved: what the changes move [SI], by name;
+    scatter: how many times as large as stated the sds of "joints", or of the poses that a robot
+    states, and of all other "readings" are, where they scatter so.
     """
 
     verdict: str
@@ -213,6 +215,7 @@ class WhatChanged:
     spread: float
     left: float | None
     moved: Mapping[str, float] = field(default_factory=dict)
+    scatter: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def from_document(cls, entry: Mapping[str, Any], test: Mapping[str, Any]) -> WhatChanged:
@@ -228,6 +231,7 @@ class WhatChanged:
             Innovation(**test),
             entry["spread"],
             entry["left_p_value"],
+            scatter=entry.get("scatter", {}),
         )
 
     @property
@@ -301,6 +305,7 @@ class WhatChanged:
             ],
             "left_p_value": self.left,
             "spread": self.spread,
+            "scatter": dict(self.scatter),
             "power": POWER,
             "candidates": [asdict(one) for one in self.candidates],
         }

@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,6 +135,11 @@ class Linearised:
             A, root = np.hstack([A, drift / np.sqrt(f)]), np.pad(root, ((0, 0), (0, p)))
             slopes = np.pad(slopes, ((0, 0), (0, p), (0, p)))
         return cls(placement, e, F, A, root, solve, rank, f, slopes, noise)
+
+    def unsurer(self, freedom: float) -> Linearised:
+        """The same where the noise has also this many degrees of freedom, of another cause."""
+        inverse = 1.0 / self.noise + 1.0 / freedom
+        return self if not inverse else replace(self, noise=1.0 / inverse)
 
     @cached_property
     def left(self) -> Array:

@@ -134,6 +134,12 @@ class Possible:
         return self.units or tuple(unit_of(problem, name) for name in self.names)
 
     @property
+    def of_few(self) -> bool:
+        """Whether it counts with all others together: a load without mass has so many parts that
+        too little is then left to show by how much readings scatter."""
+        return self.kind != "load" or len(self.names) < 2
+
+    @property
     def called(self) -> tuple[str, str]:
         """What it is: a load in one part is the same change as in several."""
         return self.name, self.kind

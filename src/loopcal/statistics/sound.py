@@ -262,6 +262,15 @@ def _unsettled(document: ResultDocument) -> Fact | None:
     return None if document.sds_settled is not False else fact("sds-not-converged")
 
 
+def _updated(document: ResultDocument) -> Fact | None:
+    """Of an update whose readings differ from the calibration by more than it follows."""
+    check = document.check
+    if check is None or check.passed:
+        return None
+    mixed = check.passed is False
+    return fact("update-mixed" if mixed else "update-moved", words=check.words)
+
+
 def _scales(document: ResultDocument) -> Fact | None:
     """Of stations beside the first, or of what measures beside the drawing; or a zero of distances
     that explains more."""
@@ -478,6 +487,7 @@ SOUND: tuple[Callable[[ResultDocument], Fact | None], ...] = (
     _not_converged,
     far_from_nominal,
     prior_tension,
+    _updated,
     _moved,
     _modelled_changes,
     _goodness_of_fit,

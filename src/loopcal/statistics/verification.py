@@ -36,9 +36,10 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.statistics.another_day import Day
 from loopcal.statistics.calibrated import Calibrated, ResidualVariance
-from loopcal.statistics.change_tests import what_changed
-from loopcal.statistics.changed import DRIFT_OR_CHANGE, LEVEL, WhatChanged
+from loopcal.statistics.change_tests import Explained, what_changed
+from loopcal.statistics.changed import DRIFT_OR_CHANGE, LARGER, LEVEL, WhatChanged
 from loopcal.statistics.day_drift import drifted, smallest_drift
+from loopcal.statistics.day_noise import DayNoise
 from loopcal.statistics.day_run import NO_POSES, Run, faults, searched, with_further
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.innovation import Linearised
@@ -231,6 +232,36 @@ def _fewer(what: WhatChanged, before: WhatChanged) -> bool:
 
 
 def _searched(day: Day, linear: Linearised) -> tuple[WhatChanged | None, Run]:
+    """What changed since the calibration, and during the run; or by how much readings scatter.
+
+    Readings that scatter more than stated look like changes that do not explain all differences.
+    What changed is searched anew with such sds then. It counts where it is less.
+    """
+    explained, run = _changes(day, linear)
+    if explained is None:
+        return None, run
+    what = explained.what
+    explains = what.verdict == "unchanged" or (what.left or 0.0) >= LEVEL
+    if explains or day.calibrated.residual is not None:
+        return what, run
+    # Beside all that may have changed: on another machine of the type nothing scatters.
+    noise = DayNoise.of(explained.linear, explained.every)
+    if not (scatter := noise.larger(LARGER)):
+        return what, run
+    noisier = day.noisier(noise)
+    again, later = _changes(noisier, noisier.linearised())
+    if again is None or (again.what.left or 0.0) < LEVEL:
+        return what, run
+    before, after = (
+        (*one.found, *at.shifts.found, *at.outliers)
+        for one, at in ((what, run), (again.what, later))
+    )
+    if before and len(after) >= len(before):
+        return what, run
+    return replace(again.what, test=what.test, scatter=scatter), later
+
+
+def _changes(day: Day, linear: Linearised) -> tuple[Explained | None, Run]:
     """What changed since the calibration, and during the run.
 
     What happens during a run looks like changes before it, and these like a step at its begin: the
@@ -246,7 +277,7 @@ def _searched(day: Day, linear: Linearised) -> tuple[WhatChanged | None, Run]:
         return None, Run()
     what = explained.what
     if [one.kind for one in what.found] == ["delay"] and (what.left or 0.0) < LEVEL:
-        return what, Run()  # what it leaves looks like moves and outliers, and is none
+        return explained, Run()  # what it leaves looks like moves and outliers, and is none
     if what.found and (what.left or 0.0) < LEVEL and (alone := _moved_alone(day, linear)):
         return alone
     run = searched(explained.linear, explained.columns)
@@ -266,17 +297,17 @@ def _searched(day: Day, linear: Linearised) -> tuple[WhatChanged | None, Run]:
         beside = what_changed(drifting, drifting.linearised())
         if beside is not None and beside.what.verdict == "unchanged":
             what = replace(explained.what, verdict=DRIFT_OR_CHANGE)
-            return what, run.among(every, outliers)
+            return replace(explained, what=what), run.among(every, outliers)
     if explained.what.verdict != "unchanged":
         joints = JointErrors.of(explained.linear, explained.columns)
         day = replace(day, joints=joints)
         beside = None if joints is None else what_changed(day, day.linearised())
         if beside is not None and _fewer(beside.what, explained.what):
             explained = beside
-    return explained.what, run.among(every, outliers)
+    return explained, run.among(every, outliers)
 
 
-def _moved_alone(day: Day, linear: Linearised) -> tuple[WhatChanged, Run] | None:
+def _moved_alone(day: Day, linear: Linearised) -> tuple[Explained, Run] | None:
     """What moved during the run, where nothing else is needed to explain the poses."""
     run = searched(linear, np.zeros((len(linear.e), 0)))
     clear = run.shifts.told_apart
@@ -286,7 +317,7 @@ def _moved_alone(day: Day, linear: Linearised) -> tuple[WhatChanged, Run] | None
     explained = what_changed(day, day.linearised())
     if explained is None or explained.what.verdict != "unchanged":
         return None
-    return explained.what, run
+    return explained, run
 
 
 def _distances(apart: Sequence[Apart]) -> Distances | None:

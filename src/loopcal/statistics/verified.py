@@ -39,7 +39,7 @@ _OR_POSES = ", or else the robot states other poses than it did, as after a join
 _PLACES = ("camera-moved", "mounting-changed", "machine-changed", "changed")
 """Codes of changes that stated poses may have made: a zero of the first joint moves a camera beside
 the robot, one of the last joint what it carries, and others nearly so."""
-_AGAINST = (MOVED, "errors-larger", "misfit-larger")
+_AGAINST = (MOVED, "errors-larger", "misfit-larger", "joints-scatter", "readings-scatter")
 _QUESTIONS: tuple[Question, ...] = ("consistent", "better", "tolerance")
 
 
@@ -138,7 +138,7 @@ class Verification:
             return [fact("day-at-fault", Where(readings=readings), faults=words)]
         if self.innovation.p_value is None or self.changes is None:
             return [fact("no-redundancy")]
-        stated = (self._moved(), self._larger(), self._unlike(), self._unsound(), *self._rows())
+        stated = (self._moved(), *self._larger(), self._unlike(), self._unsound(), *self._rows())
         facts = [one for one in stated if one is not None]
         if self.changes.code != "unchanged" or not any(one.code in _AGAINST for one in facts):
             facts.append(self._changed(self.changes))
@@ -170,21 +170,37 @@ class Verification:
         open_ = (*self.shifts.found, *self.shifts.unsure)
         return along_the_run("moved-or-machine", open_, changes=len(open_)) if open_ else None
 
-    def _larger(self) -> Fact | None:
+    def _larger(self) -> Iterator[Fact]:
         """Errors that are larger than stated by half, whatever explains them."""
-        spread = math.sqrt(self.changes.spread) if self.changes is not None else 1.0
-        mine, expected = self.calibrated, self.expected
+        changes, mine, expected = self.changes, self.calibrated, self.expected
+        if changes is None:
+            return
+        sizes = dict[str, Figure]()
         if mine is not None and expected is not None and expected.rms and self.rare < LEVEL:
-            times = mine.rms / expected.rms
-            if times > max(LARGER, spread):
-                sizes = {
-                    "rms": Figure(mine.rms, self.unit),
-                    "expected": Figure(expected.rms, self.unit),
-                }
-                return fact("errors-larger", numbers={"times": times, **sizes})
-        if spread > LARGER:
-            return fact("misfit-larger", numbers={"times": spread})
-        return None
+            pair = {"rms": mine.rms, "expected": expected.rms}
+            sizes = {name: Figure(value, self.unit) for name, value in pair.items()}
+        if changes.scatter:
+            yield from self._scatter(changes.scatter, sizes)
+            return
+        spread = math.sqrt(changes.spread)
+        times = sizes["rms"].value / sizes["expected"].value if sizes else 0.0
+        if times > max(LARGER, spread):
+            yield fact("errors-larger", numbers={"times": times, **sizes})
+        elif spread > LARGER:
+            yield fact("misfit-larger", numbers={"times": spread})
+
+    def _scatter(self, scatter: Mapping[str, float], sizes: Mapping[str, Figure]) -> Iterator[Fact]:
+        """Readings that scatter more than stated."""
+        joints = "The poses that the robot states" if self.flange else "The joints"
+        images = self.unit == "px"
+        what = {
+            "joints": joints,
+            "readings": "The corners" if images else "The readings of the instruments",
+        }
+        shown = f": {sizes['rms']:3} rms instead of {sizes['expected']:3}" if sizes else ""
+        for name, times in scatter.items():
+            numbers: dict[str, float | Figure] = {"times": times, **sizes}
+            yield fact(f"{name}-scatter", numbers=numbers, what=what[name], sizes=shown)
 
     def _unlike(self) -> Fact | None:
         bad = self.outliers

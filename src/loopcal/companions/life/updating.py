@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from loopcal.arrays import Array
 from loopcal.companions.life.drift import CONDITIONS, Since, allowed, drift_of_conditions
 from loopcal.companions.life.earlier import Around, Earlier, Sloped
-from loopcal.document.findings import ScaleEntry
+from loopcal.document.findings import CheckEntry, ScaleEntry
 from loopcal.document.fit import NoiseEntry
 from loopcal.document.result_document import UPDATED
 from loopcal.errors import InputError, NoTrustworthyResult
@@ -65,6 +65,7 @@ from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.small_samples import LearntCovariance, contrasts
 from loopcal.statistics.another_day import Day, as_learnt, day_problem, noise_of
 from loopcal.statistics.calibrated import Calibrated
+from loopcal.statistics.changed import DRIFT_OR_CHANGE
 from loopcal.statistics.gauge import values_of
 from loopcal.statistics.later_corners import fitting_corners
 from loopcal.statistics.replacing import Replaced, freed
@@ -101,6 +102,16 @@ class Updated:
         remedy = _WITHIN if self.check.shifts.found else _MIXED
         remedy = _ON_THE_WAY if answer.code == "poses-delayed" else remedy
         return f"{answer.words} {remedy}" if answer.passed is False else None
+
+    @property
+    def entry(self) -> CheckEntry | None:
+        """What the document of the update has of the check: two machines, or what may have moved
+        along the run; None elsewhere."""
+        answer, check = self.check.verdict["consistent"], self.check
+        along = check.shifts.found or (check.changes and check.changes.verdict == DRIFT_OR_CHANGE)
+        if answer.passed or not (answer.passed is False or along):
+            return None
+        return CheckEntry(answer.passed, answer.words)
 
 
 def update(
@@ -218,7 +229,8 @@ def updated(
     if again := allowance.check.repeated:
         result = result.noted(_TWICE.format(poses=again))
     done = Updated(result, allowance.check)
-    return done if done.mixed is None else replace(done, result=result.noted(done.mixed))
+    result = result.with_parts(check=done.entry)
+    return replace(done, result=result.noted(*filter(None, [done.mixed])))
 
 
 def _fitted(

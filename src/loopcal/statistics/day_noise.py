@@ -1,0 +1,139 @@
+"""By how much the readings of another day scatter more than stated, joints and instruments apart.
+
+A robot that still swings when an image is taken errs by another amount in each pose, and corners of
+a blurred image scatter. The calibration knows neither, so that any change of the machine which
+resembles them looks sure. So let all sds of joints, or of the poses that a robot states, be a times
+and all others b times as large. In the whitened misclosures of pose i (`innovation`),
+
+    e_i = X_i t + A_i h + v_i,   h ~ N(0, 1),   v_i ~ N(0, a^2 P_i + b^2 (1 - P_i)),
+
+X the columns of what is placed anew and of changes, P_i = B_i B_i^T what the noise of the joints
+makes of e_i. With P_i = U_i diag(l) U_i^T all is diagonal, and the restricted likelihood (Patterson
+and Thompson 1971) is largest at a and b. A factor counts where the likelihood ratio to 1 is beyond
+chance. Of many equations of an image few see where the hand is: a scale of all would be that of the
+corners.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from loopcal.arrays import Array, span
+from loopcal.chi_squared import tail
+from loopcal.estimation.dependence.dependence import joint_rows
+from loopcal.estimation.problem.problem import Problem
+from loopcal.statistics.innovation import Linearised
+from loopcal.statistics.judged_readings import RARE
+
+# Chosen, not derived: more than a machine errs that anybody verifies.
+_MOST = 1e3
+"""The largest factor."""
+# Chosen, not derived: the last values differ by a fiftieth, far less than the sd of a factor.
+_ROUNDS, _VALUES, _CLOSER = 6, 17, 0.45
+"""Rounds of so many values of one factor and then of the other, in a range that gets closer."""
+# Chosen, not derived: far above rounding, far below a direction that poses show.
+_SHOWN = 1e-6
+
+
+@dataclass(frozen=True)
+class DayNoise:
+    """joints, others: how many times as large as stated the sds are, 1 where a larger one may be
+    chance; freedom: degrees of freedom of the less sure of the variances that are larger."""
+
+    joints: float = 1.0
+    others: float = 1.0
+    freedom: float = math.inf
+
+    @classmethod
+    def of(cls, linear: Linearised, changes: Array) -> DayNoise:
+        """Beside changes with these columns (R, m)."""
+        rotated = _Rotated.of(linear, np.hstack([linear.F, changes]))
+        _, least = rotated.likeliest(0, 1)
+        without = [rotated.likeliest(1 - axis)[1] for axis in (0, 1)]
+        sure = [axis for axis in (0, 1) if tail(max(without[axis] - least, 0.0), 1) < RARE]
+        best, _ = rotated.likeliest(*sure)
+        joints, others = np.exp(best).tolist()
+        freedoms = np.square(rotated.shares(joints**2, others**2)).sum(axis=1)[sure]
+        return cls(joints, others, float(freedoms.min(initial=math.inf)))
+
+    def larger(self, than: float) -> dict[str, float]:
+        """The sds of joints and of readings that are more than so many times as large as stated."""
+        both = {"joints": self.joints, "readings": self.others}
+        return {name: times for name, times in both.items() if times > than}
+
+    def within(self, problem: Problem) -> Problem:
+        """The readings with these sds."""
+        factors = np.full((len(problem.readings), 1), self.others)
+        factors[joint_rows(problem)] = self.joints
+        return replace(problem, uncertainty=problem.uncertainty.times(factors))
+
+
+AS_STATED = DayNoise()
+
+
+@dataclass(frozen=True, eq=False)
+class _Rotated:
+    """The equations of all poses along the axes of P_i: e (R, 1), X (R, m) with columns of length
+    1, A (R, r), share (R,) of the noise of joints."""
+
+    e: Array
+    X: Array
+    A: Array
+    share: Array
+
+    @classmethod
+    def of(cls, linear: Linearised, X: Array) -> _Rotated:
+        placement = linear.placement
+        problem, rows = placement.problem, joint_rows(placement.problem)
+        quantities = problem.mechanism.tape.quantities
+        sd = np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)[rows]
+        B = placement.columns([quantities[i] for i in rows]) * sd.T[placement.row_poses]
+        X = span(X, _SHOWN)
+        every = np.hstack([linear.e[:, None], X, linear.A])
+        turned, shares, begin = [], [], 0
+        for block in placement.rows:
+            b, r = block.e.shape
+            part = slice(begin, begin + b * r)
+            U, s, _ = np.linalg.svd(B[part].reshape(b, r, len(rows)))
+            share = np.zeros((b, r))
+            share[:, : s.shape[1]] = np.minimum(np.square(s), 1.0)
+            turned.append((U.transpose(0, 2, 1) @ every[part].reshape(b, r, -1)).reshape(b * r, -1))
+            shares.append(share.ravel())
+            begin += b * r
+        e, X, A = np.split(np.concatenate(turned), [1, 1 + X.shape[1]], axis=1)
+        return cls(e, X, A, np.concatenate(shares))
+
+    def likeliest(self, *axes: int) -> tuple[Array, float]:
+        """Logs of both factors of sds where those of these axes are likeliest and the other is 0,
+        and `unlikely` there."""
+        best, half = np.zeros(2), math.log(_MOST)
+        for _ in range(_ROUNDS):
+            for axis in axes:
+                logs = np.repeat(best[None], _VALUES, axis=0)
+                values = best[axis] + np.linspace(-half, half, _VALUES)
+                logs[:, axis] = np.clip(values, 0.0, math.log(_MOST))
+                best = logs[np.argmin([self.unlikely(*np.exp(2.0 * one)) for one in logs])]
+            half *= _CLOSER
+        return best, self.unlikely(*np.exp(2.0 * best))
+
+    def shares(self, joints: float, others: float) -> Array:
+        """(2, R) of both in the variance of each equation, where their variances are so large."""
+        parts = np.array([joints * self.share, others * (1.0 - self.share)])
+        return np.asarray(parts / parts.sum(axis=0))
+
+    def unlikely(self, joints: float, others: float) -> float:
+        """-2 log of the restricted likelihood at these factors of variances, but for a constant."""
+        d = joints * self.share + others * (1.0 - self.share)
+        weight = (1.0 / np.sqrt(d))[:, None]
+        A, both = weight * self.A, weight * np.hstack([self.X, self.e])
+        # S^-1 = 1 - A L^-T L^-1 A^T.
+        L = np.linalg.cholesky(np.eye(A.shape[1]) + A.T @ A)
+        less = np.linalg.solve(L, A.T @ both)
+        G = both.T @ both - less.T @ less
+        # Of the Cholesky factor of [X e]^T S^-1 [X e] the last square is what X leaves of e.
+        H = np.linalg.cholesky(G)
+        logs = np.log(d).sum() + 2.0 * np.log(np.diag(L)).sum()
+        return float(logs + 2.0 * np.log(np.diag(H)[:-1]).sum() + H[-1, -1] ** 2)
