@@ -45,6 +45,24 @@ def test_an_update_is_as_good_as_a_recalibration_with_the_zero_unknown(
     assert errors.drift < ALLOWED * errors.oracle
 
 
+def test_an_update_by_joints_that_scatter_is_not_sound() -> None:
+    """Its own verdict said sound, beside a warning and exit code 4."""
+    days, first = calibrated("ur urdf")
+    rng, day = np.random.default_rng(5), dict(days.later.readings)
+    for name in (f"q{i}" for i in range(1, 7)):
+        day[name] = day[name] + 1e-3 * rng.standard_normal(len(day[name]))
+    verdict = lc.verify(first, day).verdict["consistent"]
+    assert verdict.passed is False
+    # so few poses do not show whether joints scatter or everything changed
+    assert verdict.words.startswith("The machine is not as calibrated: chi-squared")
+    updated = lc.Result.of(lc.update(first, day)).document
+    assert updated.check is not None
+    assert updated.check.words == verdict.words
+    assert updated.verdict is not None
+    assert updated.verdict.sound.passed is False
+    assert "update-mixed" in updated.verdict.sound.codes
+
+
 def test_with_a_learnt_model_error_too() -> None:
     days, first = calibrated("ur urdf", "auto")
     errors = days.errors(first, "q3")

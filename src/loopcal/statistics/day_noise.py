@@ -34,6 +34,9 @@ _MOST = 1e3
 # Chosen, not derived: the last values differ by a fiftieth, far less than the sd of a factor.
 _ROUNDS, _VALUES, _CLOSER = 6, 17, 0.45
 """Rounds of so many values of one factor and then of the other, in a range that gets closer."""
+# Chosen, not derived: a variance from fewer is unsure by more than its half.
+_ENOUGH = 5
+"""Equations that changes must leave, at least."""
 # Chosen, not derived: far above rounding, far below a direction that poses show.
 _SHOWN = 1e-6
 
@@ -51,6 +54,8 @@ class DayNoise:
     def of(cls, linear: Linearised, changes: Array) -> DayNoise:
         """Beside changes with these columns (R, m)."""
         rotated = _Rotated.of(linear, np.hstack([linear.F, changes]))
+        if len(rotated.e) - rotated.X.shape[1] < _ENOUGH:
+            return cls()
         _, least = rotated.likeliest(0, 1)
         without = [rotated.likeliest(1 - axis)[1] for axis in (0, 1)]
         sure = [axis for axis in (0, 1) if tail(max(without[axis] - least, 0.0), 1) < RARE]
@@ -127,13 +132,10 @@ class _Rotated:
     def unlikely(self, joints: float, others: float) -> float:
         """-2 log of the restricted likelihood at these factors of variances, but for a constant."""
         d = joints * self.share + others * (1.0 - self.share)
-        weight = (1.0 / np.sqrt(d))[:, None]
-        A, both = weight * self.A, weight * np.hstack([self.X, self.e])
-        # S^-1 = 1 - A L^-T L^-1 A^T.
-        L = np.linalg.cholesky(np.eye(A.shape[1]) + A.T @ A)
-        less = np.linalg.solve(L, A.T @ both)
-        G = both.T @ both - less.T @ less
-        # Of the Cholesky factor of [X e]^T S^-1 [X e] the last square is what X leaves of e.
-        H = np.linalg.cholesky(G)
-        logs = np.log(d).sum() + 2.0 * np.log(np.diag(L)).sum()
-        return float(logs + 2.0 * np.log(np.diag(H)[:-1]).sum() + H[-1, -1] ** 2)
+        rows = np.hstack([self.X, self.A, self.e]) / np.sqrt(d)[:, None]
+        r, m = self.A.shape[1], self.X.shape[1]
+        prior = np.hstack([np.zeros((r, m)), np.eye(r), np.zeros((r, 1))])
+        # With h ~ N(0, 1) as rows, the squares of the diagonal are the determinants of 1 + A^T A
+        # and X^T S^-1 X, and the last one is what X leaves of e.
+        R = np.abs(np.diag(np.linalg.qr(np.vstack([rows, prior]), mode="r")))
+        return float(np.log(d).sum() + 2.0 * np.log(R[:-1]).sum() + R[-1] ** 2)
