@@ -276,6 +276,26 @@ def test_a_warm_machine_with_slides_is_named_by_its_scale() -> None:
     assert change.value == pytest.approx(grown, abs=4.0 * change.sd)
 
 
+@pytest.mark.parametrize("share", [6e-4, -3e-3])
+def test_a_slide_with_another_scale_is_named_alone(share: float) -> None:
+    """The spindle of one axis of a gantry grew by 300 ppm: "the scale of the machine changed by 221
+    ppm; the load changed", and no cause was named of a screw with another pitch."""
+    given = setup("origins, two prismatic, point")
+    made = lc.simulate(given.truth, given.driven, noise=given.noise, seed=1)
+    nominal = given.truth.with_parameters(given.truth.parameters.with_fixed(given.held))
+    first = lc.calibrate(nominal, made.dataset, noise=given.noise, method="implicit-loop")
+    slides = [q for q in given.driven if given.truth.quantities[q] == "m"]
+    for slide in slides:
+        stretched = {**given.driven, slide: given.driven[slide] * (1.0 + share)}
+        day = lc.simulate(given.truth, stretched, noise=given.noise, seed=2).dataset
+        found = lc.verify(first, day.with_readings({slide: day[slide] / (1.0 + share)}))
+        (change,) = changes(found).found
+        assert (change.name, change.kind) == (f"the scale of {slide}", "slide")
+        assert change.value == pytest.approx(share, abs=4.0 * change.sd)
+        assert found.verdict["consistent"].code == "changed"
+        assert "Let the slide reach the temperature" in str(found)
+
+
 @pytest.mark.parametrize(("half", "named"), [(2e-3, True), (15e-3, False)])
 def test_a_size_that_no_pose_determines_is_not_named(half: float, named: bool) -> None:
     value, parts = 10.4e-3, {"tool_x": 4e-3, "tool_z": -9.6e-3}

@@ -165,6 +165,14 @@ ANOTHER_DAY = (
         detail="Another scale of the instrument looks the same.",
         shared="changed",
     ),
+    _not_consistent(
+        "slide-changed",
+        _NOT_AS_CALIBRATED,
+        "Let the slide reach the temperature of the calibration, and check its pitch or counts in "
+        "the controller. If it stays, update the calibration with these poses.",
+        _UPDATE,
+        shared="changed",
+    ),
     Row(
         "sound",
         "caution",
