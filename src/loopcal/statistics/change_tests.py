@@ -119,8 +119,7 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
         chosen, system = best, settled
         p_values[chosen[-1]] = tests[chosen[-1]]
         rivals[chosen[-1]] = settled.rivals(best, [fit for fit in fits if fit[0] != best])
-        kept = system.kept(chosen)
-        if kept != chosen:
+        if (kept := system.kept(chosen)) != chosen:
             given_up |= {*chosen} - {*kept}
             chosen, system = kept, system.settled(kept)
             apart = {j: system.tests([i for i in kept if i != j]) for j in kept}
@@ -138,7 +137,8 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
     verdict = changed.verdict_of(whole.p_value, changes, left) if sought else "unchanged"
     moved = causes.changes(system.t)
     what = WhatChanged(verdict, changes, begun.tested(), whole, begun.spread, left, moved)
-    return Explained(what, system.linear, system.columns(chosen))
+    loads = [name for i in chosen for name in causes.causes[i].loaded]
+    return Explained(what, system.linear, system.linear.spanned(loads, system.columns(chosen)))
 
 
 def _without(

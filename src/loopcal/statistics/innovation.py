@@ -136,6 +136,15 @@ class Linearised:
             slopes = np.pad(slopes, ((0, 0), (0, p), (0, p)))
         return cls(placement, e, F, A, root, solve, rank, f, slopes, noise)
 
+    def spanned(self, names: Sequence[str], columns: Array) -> Array:
+        """(R, d) independent columns of these, and of what the names change (`Replaced.columns`);
+        the columns as they are where there are none."""
+        if not names:
+            return columns
+        each = self.placement.columns(names) / np.sqrt(self.factor)
+        U, s, _ = svd(np.hstack([columns, each]))
+        return np.asarray(U[:, s > DETERMINED * s.max(initial=0.0)])
+
     @cached_property
     def left(self) -> Array:
         """(R,) what the placement leaves of e."""
