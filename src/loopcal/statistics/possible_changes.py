@@ -307,11 +307,14 @@ def _mountings(problem: Problem) -> Iterator[Possible]:
 
 
 def _tool(problem: Problem, mounted: Sequence[tuple[str, ...]]) -> Possible | None:
-    """A rigid motion of all targets, of which there are several in space."""
+    """A rigid motion of all targets, of which there are several in space, about their middle: near
+    one point no reading shows a turn, which would hide the way about any other."""
     parameters = problem.mechanism.parameters
     points = [names for names in mounted if len(names) == len("xyz")]
     if len(points) < 2 or len(points) < len(mounted):
         return None
+    places = np.array([[parameters[n].nominal for n in names] for names in points])
+    places = places - places.mean(axis=0)
     parts: list[tuple[tuple[str, float], ...]] = []
     for i in range(3):
         parts.append(tuple((names[i], 1.0) for names in points))
@@ -320,11 +323,8 @@ def _tool(problem: Problem, mounted: Sequence[tuple[str, ...]]) -> Possible | No
         parts.append(
             tuple(
                 pair
-                for names in points
-                for pair in (
-                    (names[i], -parameters[names[j]].nominal),
-                    (names[j], parameters[names[i]].nominal),
-                )
+                for names, at in zip(points, places.tolist(), strict=True)
+                for pair in ((names[i], -at[j]), (names[j], at[i]))
             )
         )
     names = tuple(n for target in points for n in target)
