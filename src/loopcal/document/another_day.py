@@ -168,9 +168,9 @@ ANOTHER_DAY = (
     _not_consistent(
         "slide-changed",
         _NOT_AS_CALIBRATED,
-        "Let the slide reach the temperature of the calibration, and check its pitch or counts in "
-        "the controller. If it stays, update the calibration with these poses.",
-        _UPDATE,
+        "Let the slide reach the temperature of the calibration, then verify again. If it stays, "
+        "check its pitch or counts in the controller, or calibrate anew.",
+        _VERIFY,
         shared="changed",
     ),
     Row(
