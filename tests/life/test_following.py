@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import loopcal as lc
-from analyses.instruments import setup
 from analyses.followed import ALLOWED, LATER, ZERO, Days, moved
 from analyses.gauntlet_worlds import World
+from analyses.instruments import setup
 from analyses.planning import cases
 from loopcal.companions.life.drift import Drifting
 from loopcal.estimation.prediction import predict_outputs
