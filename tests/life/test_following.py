@@ -13,6 +13,7 @@ import pytest
 import loopcal as lc
 from analyses.followed import ALLOWED, LATER, ZERO, Days, moved
 from analyses.gauntlet_worlds import World
+from analyses.instruments import setup
 from analyses.planning import cases
 from loopcal.companions.life.drift import Drifting
 from loopcal.estimation.prediction import predict_outputs
@@ -106,6 +107,23 @@ def test_a_zero_that_moved_far_is_followed_as_well(times: float, allowed: float)
     assert [words for words in new.warnings if "The update estimates the zero of q3" in words]
     oracle = days.recalibrated(first, new, "q3", day)
     assert days.error(new, "q3", size) < allowed * days.error(oracle, "q3", size)
+
+
+def test_another_scale_of_a_slide_is_followed_where_one_was_learnt() -> None:
+    """It was followed by none, and the result was "J3_scale is 4.7 sds off"."""
+    given, share = setup("origins, two prismatic, point"), 1e-3
+    made = lc.simulate(given.truth, given.driven, noise=given.noise, seed=1)
+    nominal = given.truth.with_parameters(given.truth.parameters.with_fixed(given.held))
+    fit = lc.Fit(method="implicit-loop", model_error="structured")
+    first = lc.calibrate(nominal, made.dataset, noise=given.noise, fit=fit)
+    slide = next(q for q in given.driven if given.truth.quantities[q] == "m")
+    stretched = {**given.driven, slide: given.driven[slide] * (1.0 + share)}
+    day = lc.simulate(given.truth, stretched, noise=given.noise, seed=2).dataset
+    new = lc.update(first, day.with_readings({slide: day[slide] / (1.0 + share)}))
+    assert any(f"The update estimates the scale of {slide} anew" in w for w in new.warnings)
+    assert not [words for words in new.warnings if "mixes" in words]
+    name = f"{slide}_scale"
+    assert new.value[name] - first.value[name] == pytest.approx(share, abs=1e-4)
 
 
 @pytest.mark.parametrize(("arm", "how"), [("ur urdf", "stated"), ("six", "stated"), ("ur", "auto")])

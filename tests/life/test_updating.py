@@ -291,6 +291,17 @@ def test_readings_of_another_machine_are_reported() -> None:
     assert not any("anew" in w and "estimates" in w for w in found.warnings)
 
 
+def test_a_file_at_fault_is_refused_as_verify_names_it() -> None:
+    """With two joints of a SCARA exchanged an update searched for more than seven minutes."""
+    arm = planar_arm(60)
+    data, noise = arm.read(sds_of(arm), 1), lc.Noise(sds_of(arm))
+    first = lc.calibrate(arm.truth, data, noise=noise, method="implicit-loop")
+    exchanged = data.with_readings({"phi2": data["phi3"], "phi3": data["phi2"]})
+    assert lc.verify(first, exchanged).faults
+    with refused("implausible-readings", "phi2 and phi3 are exchanged"):
+        lc.update(first, exchanged)
+
+
 def test_a_change_that_the_check_names_is_followed_and_reported() -> None:
     arm = planar_arm(60)
     data, noise = arm.read(sds_of(arm), 1), lc.Noise(sds_of(arm))

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 import loopcal as lc
-from analyses.instruments import setup
+from analyses.instruments import FIRST, TOOL, at, looked_at, setup
 from analyses.verify import another_day
 from analyses.what_changed import CHANGES, draw
 from loopcal.estimation.problem.problem import build_problem
+from loopcal.mechanisms.instruments.length import draw_wire
 from loopcal.statistics.change_tests import _System
 from loopcal.statistics.changed import LEVEL, Candidate, Change, WhatChanged, larger
 from loopcal.statistics.innovation import Innovation
@@ -274,6 +275,47 @@ def test_a_warm_machine_with_slides_is_named_by_its_scale() -> None:
     (change,) = changes(lc.verify(first, day.with_readings(read))).found
     assert change.kind == "expansion"
     assert change.value == pytest.approx(grown, abs=4.0 * change.sd)
+
+
+@pytest.mark.parametrize("share", [6e-4, -3e-3])
+def test_a_slide_with_another_scale_is_named_alone(share: float) -> None:
+    """The spindle of one axis of a gantry grew by 300 ppm: "the scale of the machine changed by 221
+    ppm; the load changed", and no cause was named of a screw with another pitch."""
+    given = setup("origins, two prismatic, point")
+    made = lc.simulate(given.truth, given.driven, noise=given.noise, seed=1)
+    nominal = given.truth.with_parameters(given.truth.parameters.with_fixed(given.held))
+    first = lc.calibrate(nominal, made.dataset, noise=given.noise, method="implicit-loop")
+    slides = [q for q in given.driven if given.truth.quantities[q] == "m"]
+    for slide in slides:
+        stretched = {**given.driven, slide: given.driven[slide] * (1.0 + share)}
+        day = lc.simulate(given.truth, stretched, noise=given.noise, seed=2).dataset
+        found = lc.verify(first, day.with_readings({slide: day[slide] / (1.0 + share)}))
+        (change,) = changes(found).found
+        assert (change.name, change.kind) == (f"the scale of {slide}", "slide")
+        assert change.value == pytest.approx(share, abs=4.0 * change.sd)
+        assert found.verdict["consistent"].code == "changed"
+        assert "Let the slide reach the temperature" in str(found)
+
+
+def test_a_tool_whose_targets_are_one_point_moves_by_the_way_of_that_point() -> None:
+    """Three wires on one hook: "the tool moved by 75 mm ± 71 mm", with a turn about the flange that
+    cancelled it, for 1 mm."""
+    hooks = ("tool", "second", "third")
+    wires = [draw_wire(f"w{i}", target=name) for i, name in enumerate(hooks)]
+    anchors = at("w0", 1.5, 0.8, 0.3) | at("w1", -0.6, 1.4, 0.2) | at("w2", -0.4, -1.2, 1.1)
+    there = {f"{name}_{axis}": TOOL[f"tool_{axis}"] for name in hooks for axis in "xyz"}
+    given = looked_at(wires, anchors | there, 0, held=FIRST)
+    made = lc.simulate(given.truth, given.driven, noise=given.noise, seed=1)
+    nominal = given.truth.with_parameters(given.truth.parameters.with_fixed(given.held))
+    first = lc.calibrate(nominal, made.dataset, noise=given.noise, method="implicit-loop")
+    moved = given.truth.with_nominal({f"{name}_x": TOOL["tool_x"] + 1e-3 for name in hooks})
+    some = {q: v[::3] for q, v in given.driven.items()}
+    for seed in range(59301, 59304):
+        day = lc.simulate(moved, some, noise=given.noise, seed=seed).dataset
+        (change,) = changes(lc.verify(first, day)).found
+        assert (change.name, change.kind) == ("the tool", "mounting")
+        assert change.value == pytest.approx(1e-3, abs=1e-4)
+        assert change.low < 1e-3 < change.high
 
 
 @pytest.mark.parametrize(("half", "named"), [(2e-3, True), (15e-3, False)])

@@ -165,6 +165,14 @@ ANOTHER_DAY = (
         detail="Another scale of the instrument looks the same.",
         shared="changed",
     ),
+    _not_consistent(
+        "slide-changed",
+        _NOT_AS_CALIBRATED,
+        "Let the slide reach the temperature of the calibration, then verify again. If it stays, "
+        "check its pitch or counts in the controller, or calibrate anew.",
+        _VERIFY,
+        shared="changed",
+    ),
     Row(
         "sound",
         "caution",

@@ -120,8 +120,7 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
         chosen, system = best, settled
         p_values[chosen[-1]] = tests[chosen[-1]]
         rivals[chosen[-1]] = settled.rivals(best, [fit for fit in fits if fit[0] != best])
-        kept = system.kept(chosen)
-        if kept != chosen:
+        if (kept := system.kept(chosen)) != chosen:
             given_up |= {*chosen} - {*kept}
             chosen, system = kept, system.settled(kept)
             apart = {j: system.tests([i for i in kept if i != j]) for j in kept}
@@ -139,8 +138,10 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
     verdict = changed.verdict_of(whole.p_value, changes, left) if sought else "unchanged"
     tested, moved = begun.tested(), causes.changes(system.t)
     what = WhatChanged(verdict, changes, tested, whole, begun.spread, left, moved)
+    loads = [name for i in chosen for name in causes.causes[i].loaded]
+    columns = system.linear.spanned(loads, system.columns(chosen))
     few = [i for i, one in enumerate(causes.causes) if one.of_few]
-    return Explained(what, system.linear, system.columns(chosen), system.columns(few))
+    return Explained(what, system.linear, columns, system.columns(few))
 
 
 def _without(
@@ -419,8 +420,7 @@ class _System:
         for _ in range(_ROUNDS):
             t = np.zeros(len(system.t))
             t[rows] = system.estimated(chosen).size
-            moved = np.abs(t - system.t) * np.sqrt(np.diag(system.G))
-            if moved.max() < _SETTLED:
+            if (np.abs(t - system.t) * np.sqrt(np.diag(system.G))).max() < _SETTLED:
                 break
             try:
                 linear = self.day.linearised(self.causes.changes(t))

@@ -45,6 +45,7 @@ _WORDS = {
     "lens": "lenses",
     "print": "prints",
     "expansion": "scales",
+    "slide": "scales of slides",
     "drift": "drifts along the run",
     "delay": "delays",
 }
@@ -58,7 +59,7 @@ PLACED = ("mounting", "camera")
 """Kinds of changes of where something sits."""
 PRINCIPAL_POINT = "the principal point of "
 """The name of its change begins so, and ends with that of the camera."""
-_VERBS = {"zero": "moved", **dict.fromkeys(PLACED, "moved")}
+_VERBS = {"zero": "moved", **dict.fromkeys(PLACED, "moved"), "slide": "changed"}
 # Chosen, not derived: what fits a line.
 _MOST_NAMED = 4
 # Chosen, not derived: such a change would be of the size of the machine.
@@ -74,7 +75,8 @@ class Candidate:
     """What may have changed: the zero of a joint, a parameter, or several that change together.
 
     kind: "zero" of the joint `name`, "mounting", "camera" beside the machine, "load", "expansion"
-    of the machine, "drift" of the instrument along the run, or the kind of the parameter `name`.
+    of the machine, "slide" of which the scale changed, "drift" of the instrument along the run, or
+    the kind of the parameter `name`.
     p_value: of its test, adjusted for the others (Holm), None where these poses do not show it, and
     for a drift, which is tested with the run. smallest: the change [unit] that is seen with
     probability `POWER`, None where these poses do not show it. label: what a sentence calls it,
@@ -288,6 +290,8 @@ class WhatChanged:
             return f"{kinds.pop()}-changed"
         if self.found and mounted:
             return "camera-moved" if kinds == {"camera"} else "mounting-changed"
+        if kinds == {"slide"}:
+            return "slide-changed"
         if kinds and kinds <= _OF_IMAGES:
             return "pixels-counted" if self._half_a_pixel else "images-changed"
         if any(change.conditional for change in self.found):

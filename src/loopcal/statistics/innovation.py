@@ -141,6 +141,15 @@ class Linearised:
         inverse = 1.0 / self.noise + 1.0 / freedom
         return self if not inverse else replace(self, noise=1.0 / inverse)
 
+    def spanned(self, names: Sequence[str], columns: Array) -> Array:
+        """(R, d) independent columns of these, and of what the names change (`Replaced.columns`);
+        the columns as they are where there are none."""
+        if not names:
+            return columns
+        each = self.placement.columns(names) / np.sqrt(self.factor)
+        U, s, _ = svd(np.hstack([columns, each]))
+        return np.asarray(U[:, s > DETERMINED * s.max(initial=0.0)])
+
     @cached_property
     def left(self) -> Array:
         """(R,) what the placement leaves of e."""

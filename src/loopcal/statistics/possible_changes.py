@@ -55,6 +55,7 @@ _USUAL = {
     ("angle", "rad"): 5e-4,
     ("length", "m"): 3e-4,
     ("expansion", "1"): 2e-4,
+    ("slide", "1"): 2e-4,
     ("load", "kg"): 5.0,
 }
 """The usual size of a change of a kind, by the unit of its part [SI]; any, where none is stated."""
@@ -70,7 +71,7 @@ _PLACE = ("x", "y", "z", "rz", "ry", "rx")
 """Ends of the names of where a camera sits."""
 # As in `change_points`: joints are mastered, tools exchanged, other loads carried and machines warm
 # more often than links bend.
-_OFTEN, _RARE = ("zero", "mounting", "camera", "load", "expansion"), 10.0
+_OFTEN, _RARE = ("zero", "mounting", "camera", "load", "expansion", "slide"), 10.0
 """Kinds of changes that happen, and by how much others are less likely [log]."""
 
 
@@ -119,6 +120,12 @@ class Possible:
         return np.asarray(
             each @ np.array([[d.get(n, 0.0) for d in self.directions] for n in self.names])
         )
+
+    @property
+    def loaded(self) -> tuple[str, ...]:
+        """All that gives way, of another load: what one weight leaves of it is there all day, and
+        no step along the run."""
+        return self.names if self.kind == "load" else ()
 
     @property
     def most(self) -> float:
@@ -306,11 +313,14 @@ def _mountings(problem: Problem) -> Iterator[Possible]:
 
 
 def _tool(problem: Problem, mounted: Sequence[tuple[str, ...]]) -> Possible | None:
-    """A rigid motion of all targets, of which there are several in space."""
+    """A rigid motion of all targets, of which there are several in space, about their middle: near
+    one point no reading shows a turn, which would hide the way about any other."""
     parameters = problem.mechanism.parameters
     points = [names for names in mounted if len(names) == len("xyz")]
     if len(points) < 2 or len(points) < len(mounted):
         return None
+    places = np.array([[parameters[n].nominal for n in names] for names in points])
+    places = places - places.mean(axis=0)
     parts: list[tuple[tuple[str, float], ...]] = []
     for i in range(3):
         parts.append(tuple((names[i], 1.0) for names in points))
@@ -319,11 +329,8 @@ def _tool(problem: Problem, mounted: Sequence[tuple[str, ...]]) -> Possible | No
         parts.append(
             tuple(
                 pair
-                for names in points
-                for pair in (
-                    (names[i], -parameters[names[j]].nominal),
-                    (names[j], parameters[names[i]].nominal),
-                )
+                for names, at in zip(points, places.tolist(), strict=True)
+                for pair in ((names[i], -at[j]), (names[j], at[i]))
             )
         )
     names = tuple(n for target in points for n in target)
@@ -476,6 +483,22 @@ def _expansion(problem: Problem) -> Iterator[Possible]:
     yield from _growing({**_lengths(problem), **dict.fromkeys(slides, 1.0)})
 
 
+def scale_of(slide: str) -> str:
+    """The name of the change of what this slide reads in proportion."""
+    return f"the scale of {slide}"
+
+
+def _slides(problem: Problem) -> Iterator[Possible]:
+    """What one slide reads in proportion: its spindle or glass scale grows, or its pitch is entered
+    anew."""
+    units = problem.mechanism.quantities
+    for q in driven_joints(problem.mechanism):
+        if units[q] == "m":
+            part = ((f"{q}{IN_PROPORTION}", 1.0),)
+            names, label = (part[0][0],), scale_of(q)
+            yield Possible("slide", names, parts=(part,), units=("1",), label=label, sized="scale")
+
+
 def _lengths(problem: Problem) -> dict[str, float]:
     """The nominal dimensions, by name; what is held has no column."""
     parameters = [p for p in problem.mechanism.parameters if p.name in problem.names]
@@ -522,6 +545,6 @@ ALONG_A_RUN: tuple[Cause, ...] = (
 )
 ALONG_A_DAY: tuple[Cause, ...] = (*ALONG_A_RUN[:-1], _warming_slides)
 BETWEEN_DAYS: tuple[Cause, ...] = (
-    *(_zeros, _mountings, _cameras, _loads, _dimensions, _expansion, _delays),
+    *(_zeros, _mountings, _cameras, _loads, _dimensions, _expansion, _slides, _delays),
 )
 """Of changes that do the same the first speaks: zeros of joints, then mountings."""

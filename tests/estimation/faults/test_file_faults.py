@@ -49,6 +49,28 @@ def test_a_fault_of_the_whole_file_is_named(fault: str) -> None:
     assert {*found.codes} & {*FAULTS[fault].codes}, found.words
 
 
+@pytest.mark.parametrize(
+    ("columns", "signs", "words"),
+    [
+        (("qx", "qw"), (1.0, 1.0), "have qw and qx exchanged"),
+        (("qy", "qz"), (1.0, 1.0), "have qy and qz exchanged"),
+        (("qy", "qy"), (-1.0, -1.0), "the orientations in qw, qx, qy and qz do not"),
+    ],
+)
+def test_orientations_that_do_not_fit_their_points_are_no_shuffled_rows(
+    columns: tuple[str, str], signs: tuple[float, float], words: str
+) -> None:
+    """Two columns of a quaternion in each other's place were "shuffled rows, or ids"."""
+    given = setup("six-axis pose")
+    made = lc.simulate(given.truth, given.driven, noise=given.noise, seed=3)
+    readings, (one, other) = dict(made.dataset.readings), columns
+    readings |= {one: signs[0] * readings[other], other: signs[1] * readings[one]}
+    problem = started(given.nominal(3), lc.Dataset.from_arrays(readings), given.noise, "auto")
+    (fault,) = column_faults(problem)
+    assert fault.code == "orientation"
+    assert words in fault.words
+
+
 @pytest.mark.parametrize("name", ["six-axis draw-wire", "six-axis pose", "two-link point"])
 @pytest.mark.parametrize("drawing", [GOOD, ROUGH])
 def test_a_good_file_is_not_blamed_even_beside_a_rough_drawing(name: str, drawing: str) -> None:

@@ -40,7 +40,7 @@ from loopcal.statistics.another_day import Day, day_problem
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.changed import CONDITIONAL, LEVEL, PLACED, Change
 from loopcal.statistics.innovation import Linearised
-from loopcal.statistics.possible_changes import EXPANSION, HEAVY
+from loopcal.statistics.possible_changes import EXPANSION, HEAVY, scale_of
 from loopcal.statistics.predictive import unmeasured_corrections
 from loopcal.statistics.verification import verified
 from loopcal.statistics.verified import Verification
@@ -311,7 +311,9 @@ class Drifting:
         lengths = [p for p in parameters if p.dimension == "length" and p.name in steps]
         tools = [p for p in parameters if (p.role, p.unit) == ("mounting", "m")]
         # Slides whose scale grows with the machine are read, not estimated.
-        slides = any(mechanism.quantities[joint] == "m" for joint in self._zeros)
+        slides = [joint for joint in self._zeros if mechanism.quantities[joint] == "m"]
+        learnt = {scale_of(joint): f"{joint}_scale" for joint in slides}
+        steps |= {one: steps[name] for one, name in learnt.items() if name in steps}
         for name, grown in {EXPANSION: [] if slides else lengths, _TOOLS: tools}.items():
             if grown and steps.keys() >= {p.name for p in grown}:
                 steps[name] = np.sum([p.nominal * steps[p.name] for p in grown], axis=0)

@@ -136,7 +136,8 @@ def update(
     estimated anew; warnings of the result name them, or say that the readings are of another
     machine.
 
-    Raises InputError for a calibration or readings without sds, and for a role that is not there.
+    Raises InputError for a calibration or readings without sds, for a role that is not there, and
+    for a file at fault, as with exchanged columns.
     """
     return updated(calibration, data, Since(moved, remounted, drift or {}), noise).result
 
@@ -163,6 +164,12 @@ def updated(
     data = fitting_corners(calibrated, data, stated, since.remounted)
     data, stated = day_as_means(calibrated, data, stated, since.remounted)
     allowance = allowed(calibrated, data, since, stated)
+    if faults := allowance.check.faults:
+        raise InputError(
+            "; ".join(fault.words for fault in faults),
+            code="implausible-readings",
+            remedy="correct the file; no update can use it as it stands",
+        )
     if (gone := np.flatnonzero(np.isin(data.poses, allowance.check.outliers))).size:
         kept = np.setdiff1d(np.arange(len(data)), gone)
         data, stated = data.without_outliers(gone), stated and stated.take(kept)

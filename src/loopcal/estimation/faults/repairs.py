@@ -318,6 +318,9 @@ def _reread(
     else:
         for ratio, words in ANGLES:
             yield f"are {words}", {n: ratio * v for n, v in columns.items()}
+    for one, other in combinations(names, 2):
+        exchanged = {**columns, one: columns[other], other: columns[one]}
+        yield f"have {one} and {other} exchanged", exchanged
     R = np.array([np.asarray(axis) for axis in orientation.axes(columns)])
     yield "hold the inverse rotation", _written(orientation, np.moveaxis(R, 2, 0))
 

@@ -332,6 +332,13 @@ def _hopeless(file: _File) -> tuple[ColumnFault, ...]:
         return ()
     names = tuple(q for q in problem.mechanism.outputs)
     how = f"{size(left.size, left.unit)} {unit_shown(left.unit)}".removesuffix(" 1")
+    if problem.mechanism.orientations and _same_shape(problem, in_order=True):
+        turns = tuple(n for o in problem.mechanism.orientations for n in o.columns)
+        words = (
+            f"the points belong to these poses row by row, but the orientations in "
+            f"{enumerated(turns)} do not: another convention, order, unit or sign"
+        )
+        return (ColumnFault(turns, words, finite(left.size), None, True, "orientation", left.unit),)
     if _same_shape(problem):
         words = (
             "the readings of the instrument belong to these poses, but in another order (shuffled "
@@ -355,11 +362,12 @@ def _hopeless(file: _File) -> tuple[ColumnFault, ...]:
     return (ColumnFault(names, words, finite(left.size), None, True, "wrong-machine", left.unit),)
 
 
-def _same_shape(problem: Problem) -> bool:
-    """Whether computed and measured points are alike as sets, whatever belongs to what.
+def _same_shape(problem: Problem, *, in_order: bool = False) -> bool:
+    """Whether computed and measured points are alike as sets, whatever belongs to what; in_order:
+    pose by pose.
 
-    Compared are the quantiles of the distances between the points of each set, which no motion and
-    no order changes.
+    Compared are the distances between the points of each set, which no motion changes; or their
+    quantiles, which no order changes.
     """
     some = _thinned(problem, _SAMPLE)
     try:
@@ -371,8 +379,11 @@ def _same_shape(problem: Problem) -> bool:
         good = np.isfinite(computed).all(axis=0) & np.isfinite(measured).all(axis=0)
         if good.sum() < 10:
             return False
-        one, other = (np.quantile(_between(p[:, good]), quantiles) for p in (computed, measured))
-        if np.abs(one - other).max() > SAME * other.max():
+        one, other = (_between(p[:, good]) for p in (computed, measured))
+        if not in_order:
+            one, other = np.quantile(one, quantiles), np.quantile(other, quantiles)
+        # Single poses that do not fit are no other order.
+        if np.quantile(np.abs(one - other), 0.9 if in_order else 1.0) > SAME * other.max():
             return False
     return bool(seen)
 
