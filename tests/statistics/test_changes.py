@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +16,7 @@ import pytest
 import loopcal as lc
 from loopcal.document.change_points import NOT_SEARCHED
 from loopcal.execution.executor import Executor, InProcess
-from loopcal.execution.forked import process_cores
+from loopcal.execution.forked import helping, process_cores
 from loopcal.files.result import result_file
 from loopcal.statistics import choice
 from loopcal.statistics.case import Case, Entrant, entrants
@@ -24,6 +26,7 @@ from loopcal.statistics.continued import Ending, continued
 from loopcal.statistics.findings import findings as statistics_findings
 from loopcal.statistics.folds import Scheme
 from loopcal.statistics.judged import Judged, fitted
+from loopcal.statistics.outliers import find_poses
 from loopcal.statistics.verdict import findings_of
 from loopcal.workflow.checking import run_prediction
 from tests.estimation.test_real_data import RIGHT, measured
@@ -154,6 +157,49 @@ def test_without_outliers_a_fit_begins_where_the_one_before_it_ended(
     assert begun == [False, True]
 
 
+@pytest.mark.parametrize(
+    ("data", "first"),
+    [
+        (slipped(), ["happened", "outliers sought"]),
+        (sagging(read(joints(48, 3), 3)), ["outliers sought"]),
+    ],
+)
+def test_what_certainly_happened_is_told_before_outliers_are_sought(
+    data: lc.Dataset, first: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    course = list[str]()
+
+    def sought(whole: lc.FitResult) -> Any:
+        course.append("outliers sought")
+        return find_poses(whole)
+
+    monkeypatch.setattr("loopcal.statistics.changes.find_poses", sought)
+    case = Case(ARM, data, None, lc.Fit(method="auto"))
+    (one,) = (e for e in entrants(case) if e.structured and e.case.fit.method.exact)
+    changes(case, one.case.fit, one.case.calibrated(), happened=partial(course.append, "happened"))
+    assert course[:2] == first
+
+
+@pytest.mark.parametrize("cores", ["1", "2"])
+def test_where_nothing_is_an_outlier_no_other_fit_has_to_name_it(
+    cores: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    case = Case(ARM, slipped(), NOISE, lc.Fit(method="auto"))
+    (one,) = (e for e in entrants(case) if e.structured and e.case.fit.method.exact)
+    module = "loopcal.statistics.changes"
+    monkeypatch.setenv("LOOPCAL_THREADS", cores)
+    monkeypatch.setattr(f"{module}._certain", lambda _: {})
+
+    def waiting(*_: Any) -> set[str]:
+        assert helping(), "where one core is free, nothing is done in advance"
+        time.sleep(60.0)
+        raise AssertionError("nobody waits for it")
+
+    monkeypatch.setattr(f"{module}._named_carefully", waiting)
+    what = changes(case, one.case.fit, one.case.calibrated())
+    assert (len(what.points), [*what.outliers]) == (1, [])
+
+
 @pytest.mark.parametrize("poses", [20, 48])
 def test_an_outlier_alone_is_left_out_of_the_fit_as_well(poses: int) -> None:
     data = sagging(read(joints(poses, 4), 4))
@@ -204,9 +250,9 @@ def test_a_fifth_of_other_poses_is_kept(every: range, off: float) -> None:
 def test_what_the_chosen_fit_alone_shows_is_modelled(monkeypatch: pytest.MonkeyPatch) -> None:
     levels = []
 
-    def late(case: Case, way: lc.Fit, whole: Any, level: float) -> Changes:
+    def late(case: Case, way: lc.Fit, whole: Any, level: float, *told: Any) -> Changes:
         levels.append(level)
-        return changes(case, way, whole, level) if len(levels) > 1 else unchanged(case)
+        return changes(case, way, whole, level, *told) if len(levels) > 1 else unchanged(case)
 
     monkeypatch.setattr(choice, "changes", late)
     monkeypatch.setenv("LOOPCAL_THREADS", "1")  # what a forked copy does is not seen here

@@ -10,9 +10,10 @@ all sensors uncertain has to do, and a change in an order that the joints show i
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,8 @@ from loopcal.errors import InputError, NoTrustworthyResult
 from loopcal.estimation.fit import Fit, modelled
 from loopcal.estimation.problem.problem import Weighting
 from loopcal.estimation.result import FitResult
+from loopcal.execution.executor import InProcess, in_order
+from loopcal.execution.forked import process_cores
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.effects.effect import with_effects
 from loopcal.mechanisms.mechanism import PIXELS, Mechanism
@@ -120,23 +123,30 @@ def unchanged(case: Case) -> Changes:
     return Changes(case, case, np.arange(len(case.data)))
 
 
-def changes(case: Case, way: Fit, whole: FitResult, level: float = CERTAIN) -> Changes:
+def changes(
+    case: Case,
+    way: Fit,
+    whole: FitResult,
+    level: float = CERTAIN,
+    happened: Callable[[], None] = lambda: None,
+) -> Changes:
     """What happened during the run of a case, beyond doubt or with p-values below a level.
 
-    way: how a structured candidate is fitted; whole: that fit of all poses. Where
-    the machine cannot have such effects, or is not fitted better by them, nothing.
+    way: how a structured candidate is fitted; whole: that fit of all poses; happened: called as
+    soon as it is certain that something did. Where the machine cannot have such effects, or is not
+    fitted better by them, nothing.
     """
     run_changes, way = replace(unchanged(case), whole=whole), way.changed(prior=case.fit.prior)
     rounds = ROUNDS
     while rounds:
         rounds -= 1
-        happened = run_changes.happened
+        before = run_changes.happened
         if (less := _without_gross(case, way, run_changes)) is not None:
             run_changes, whole = less
         searched = find_shifts(whole)
         run_changes = replace(run_changes, searched=searched)
         new = [p for p in searched.told_apart if p.p_value < level and apart(p, run_changes.points)]
-        if not new and (happened or not _may_hold_outliers(whole)):
+        if not new and (before or not _may_hold_outliers(whole)):
             break
         # Before what slipped is modelled, a slip looks like a drift of the same things.
         slipped = {p.names for p in new if p.until is None}
@@ -147,6 +157,8 @@ def changes(case: Case, way: Fit, whole: FitResult, level: float = CERTAIN) -> C
             full = case
             if new:
                 full, run_changes = _modelled(case, way, run_changes, new)
+            if run_changes.happened:
+                happened()
             run_changes = _without_outliers(case, full, way, run_changes)
         except (InputError, NoTrustworthyResult):
             break
@@ -190,20 +202,29 @@ def _without_outliers(case: Case, full: Case, way: Fit, run_changes: Changes) ->
     full: all poses of the case, with the changes. Where a fit takes the joints as exact, the noise
     of a coarse one makes outliers: a fit with all sensors uncertain must name them as well.
     """
-    assert run_changes.whole is not None
-    outliers, bad = dict(run_changes.outliers), _certain(run_changes.whole)
+    outliers, whole = dict(run_changes.outliers), run_changes.whole
+    assert whole is not None
     gross = len(outliers) > MOST_OUTLIERS * len(case.data)
     most = max((MOST if gross else MOST_OUTLIERS) * len(case.data), 1)
-    if not bad or len(bad) + len(outliers) > most:
-        return run_changes
-    named = _named_carefully(case, way, run_changes) if way.method.exact else None
+
+    def sought(_: None, carefully: bool) -> Any:
+        return _named_carefully(case, way, run_changes) if carefully else _certain(whole)
+
+    # before anything is certain the other cores fit other candidates
+    cores = process_cores() if run_changes.happened else InProcess()
+    with closing(cores.run(sought, None, [False, True][: 1 + way.method.exact])) as outcomes:
+        both = in_order(outcomes)
+        bad = next(both)
+        if not bad or len(bad) + len(outliers) > most:
+            return run_changes
+        named = next(both, None)
     bad = {pose: one for pose, one in bad.items() if named is None or pose in named}
     if not bad:
         return run_changes
     kept = [i for i in run_changes.kept if case.data.poses[i] not in bad]
     part = _kept(case, full, np.array(kept, dtype=np.intp))
     less = replace(run_changes, case=part.case, plain=part.plain, kept=part.kept)
-    return _fitted(way, replace(less, outliers=outliers | bad), run_changes.whole)
+    return _fitted(way, replace(less, outliers=outliers | bad), whole)
 
 
 def _without_gross(case: Case, way: Fit, run_changes: Changes) -> tuple[Changes, FitResult] | None:

@@ -264,7 +264,7 @@ def _searched(
             done[one.name] = one
             if order[outcome.number] is first:
                 # Here, where all cores serve that are free, beside the other fits.
-                run_changes = _changes(case, one)
+                run_changes = _changes(case, one, happened=outcomes.close)
                 if run_changes is not None and run_changes.happened:
                     break
     judged = [*judged, *(done[one.name] for one in telling if one.name in done)]
@@ -296,11 +296,17 @@ def _of_means(case: Case, scheme: Scheme | None, iterated: Iterated | None) -> _
     return None
 
 
-def _changes(case: Case, by: Judged, level: float = CERTAIN) -> Changes | None:
+def _changes(
+    case: Case,
+    by: Judged,
+    level: float = CERTAIN,
+    happened: Callable[[], None] = lambda: None,
+) -> Changes | None:
     """What happened during the run by a candidate's fit; None where it has none."""
     if by.whole is None or by.failed:
         return None
-    run_changes = replace(changes(case, by.entrant.case.fit, by.whole, level), by=by.name)
+    run_changes = changes(case, by.entrant.case.fit, by.whole, level, happened)
+    run_changes = replace(run_changes, by=by.name)
     release_memory()
     return run_changes
 

@@ -12,6 +12,7 @@ import loopcal as lc
 from analyses.gauntlet_truth import SIX
 from analyses.gauntlet_worlds import SAGGING, World
 from loopcal.document.choice import TermEntry, TermPart
+from loopcal.estimation.noise.term_parts import gain
 from tests.reference.verdicts import verdict_of
 
 
@@ -80,3 +81,16 @@ def test_the_summary_and_the_verdict_name_what_the_data_need_alone() -> None:
 
 def test_a_part_without_sd_is_not_clear() -> None:
     assert not TermPart(("q1",), "m", 1.0, None, None, "").clear
+
+
+def test_what_a_term_gains_is_sought_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    result, _ = sagging()
+    assert result.estimate is not None
+    learnt = result.estimate.variances.terms
+    assert learnt is not None
+    present = learnt.beside_noise
+    first = [gain(present, i) for i in range(len(learnt.system.terms))]
+    monkeypatch.delattr("loopcal.estimation.noise.term_scales.search")
+    assert learnt.beside_noise is present
+    assert [gain(present, i) for i in range(len(learnt.system.terms))] == first
+    assert [entry.gain for entry in result.document.terms] == first

@@ -19,7 +19,7 @@ import numpy as np
 
 from loopcal.arrays import Array
 from loopcal.document.choice import TermEntry, TermPart
-from loopcal.estimation.noise.term_scales import TermVariances, searched
+from loopcal.estimation.noise.term_scales import TermVariances
 from loopcal.estimation.problem.problem import Problem
 from loopcal.expressions.engine import LoopValues, engine_for
 from loopcal.expressions.tape import Tape
@@ -265,9 +265,6 @@ def _turn(size: float, sd: float, pose: str) -> str:
 
 _QUANTILE = 1.959963984540054
 """Of the normal distribution, for 95 %."""
-# Chosen, not derived: far below any effect that readings show.
-_ABSENT = 1e-6
-"""A term with this share of its expected sd has no effect."""
 Worth = Callable[[TermVariances, int, Sequence[int]], float]
 """Of a term, where others are absent: `gain` or `support`."""
 
@@ -277,9 +274,7 @@ def term_entries(mechanism: Mechanism, learnt: TermVariances) -> tuple[TermEntry
 
     The interval is from the curvature of the criterion by the logarithm of the scale.
     """
-    system, at, sds = learnt.system, learnt.at, learnt.sds
-    # With all noise free to have a factor, which may grow in the place of a term.
-    present = searched(system, at.x, np.ones(len(at.x), dtype=bool))
+    system, at, sds, present = learnt.system, learnt.at, learnt.sds, learnt.beside_noise
     entries = []
     for i, term in enumerate(system.terms):
         unit = mechanism.parameters[term.parameters[0]].unit
@@ -311,8 +306,7 @@ def idle(
     Of two that say the same each gains nothing beside the other: one stays. worth: `gain` or
     `support`; keep: terms that do.
     """
-    system, every = learnt.system, np.ones(len(learnt.at.x), dtype=bool)
-    present = searched(system, learnt.at.x, every)
+    system, present = learnt.system, learnt.beside_noise
     absent: dict[int, str] = {}
     while True:
         worths = {
@@ -324,16 +318,7 @@ def idle(
         if i < 0 or worths[i] > least:
             return {*absent.values()}
         absent[i] = system.terms[i].name
-        present = _absent(present, [*absent])
-
-
-def _absent(present: TermVariances, terms: Sequence[int]) -> TermVariances:
-    """The fit without these terms."""
-    system, x = present.system, present.at.x.copy()
-    others = np.ones(len(x), dtype=bool)
-    for term in terms:
-        x[1 + term], others[1 + term] = 2.0 * math.log(_ABSENT * system.terms[term].sd), False
-    return searched(system, x, others)
+        present = present.without([*absent])
 
 
 def gain(present: TermVariances, term: int, absent: Sequence[int] = ()) -> float:
@@ -342,7 +327,7 @@ def gain(present: TermVariances, term: int, absent: Sequence[int] = ()) -> float
     present: with all terms, and all noise free to have a factor. Without a term the other terms and
     that factor make up for it where they can.
     """
-    without, at = _absent(present, [*absent, term]).at, present.at
+    without, at = present.without([*absent, term]).at, present.at
     lower = without.criterion - at.criterion
     return lower - float(without.penalties[term] - at.penalties[term])
 

@@ -14,6 +14,7 @@ O(parameters^3). Searle, Casella and McCulloch, Variance Components (1992), chap
 
 from __future__ import annotations
 
+import math
 from dataclasses import KW_ONLY, dataclass
 from functools import partial
 from typing import TYPE_CHECKING
@@ -25,6 +26,7 @@ from loopcal.arrays import Array, svd
 from loopcal.estimation.noise.linear_model import KEPT, MixedFit
 from loopcal.estimation.noise.search import Bounds, search
 from loopcal.estimation.solve.reduction import SUMMED_TOLERANCE
+from loopcal.lazy import cached_property
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -41,6 +43,9 @@ _SETTLED = 5e-10
 # Chosen, not derived: an sd of 30 in the logarithm of a variance says nothing on it.
 _FLAT = 1e-3
 """Curvature below which a direction counts as flat."""
+# Chosen, not derived: far below any effect that readings show.
+_ABSENT = 1e-6
+"""A term with this share of its expected sd has no effect."""
 
 
 @dataclass(frozen=True)
@@ -132,6 +137,25 @@ class TermVariances:
         # the criterion is -2 log likelihood: its curvature is twice the information
         sds[index] = np.sqrt(np.square(vectors) @ (2.0 / np.maximum(values, _FLAT)))
         return sds
+
+    @cached_property
+    def beside_noise(self) -> TermVariances:
+        """The same with all noise free to have a factor, which may grow in the place of a term."""
+        return searched(self.system, self.at.x, np.ones(len(self.at.x), dtype=bool))
+
+    def without(self, terms: Sequence[int]) -> TermVariances:
+        """The fit without these terms, where all else is free."""
+        key = tuple(terms)
+        if key not in self._without:
+            x, others = self.at.x.copy(), np.ones(len(self.at.x), dtype=bool)
+            for i in key:
+                x[1 + i], others[1 + i] = 2.0 * math.log(_ABSENT * self.system.terms[i].sd), False
+            self._without[key] = searched(self.system, x, others)
+        return self._without[key]
+
+    @cached_property
+    def _without(self) -> dict[tuple[int, ...], TermVariances]:
+        return {}
 
 
 def term_system(
