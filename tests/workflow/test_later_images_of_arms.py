@@ -121,3 +121,28 @@ def test_blurred_corners_are_no_change(first: tuple[Rig, Path], tmp_path: Path) 
     assert 2.7 < scatter["readings"] < 3.3
     assert done.changes is not None
     assert not done.changes.found
+
+
+def test_images_that_were_cut_are_followed(first: tuple[Rig, Path], tmp_path: Path) -> None:
+    """The earlier images were held against the principal point of today, 200 px elsewhere."""
+    rig, result = first
+    folder = files(rig, 7, tmp_path / "day-2")
+    (corners,) = [one for one in folder.iterdir() if one.name == "readings.csv"]
+    head, *lines = corners.read_text("utf-8").splitlines()
+    column = head.split(",").index("u_px")
+    cells = [line.split(",") for line in lines]
+    for row in cells:
+        row[column : column + 2] = (
+            f"{float(v) - by:.4f}"
+            for v, by in zip(row[column : column + 2], (160.0, 120.0), strict=True)
+        )
+    corners.write_text("\n".join([head, *map(",".join, cells)]) + "\n", "utf-8")
+    before = lc.read_result(result)
+    with pytest.warns(UserWarning, match="as images do that were cut"):
+        after = lc.update(before, folder)
+    assert after.chi_squared is not None
+    assert after.chi_squared.variance_factor < 1.2
+    (eye,) = [name.removesuffix("_cx") for name in after.value if name.endswith("_cx")]
+    for name, by in (("cx", 160.0), ("cy", 120.0)):
+        (old,) = [one.value for one in before.document.parameters if one.name == f"{eye}_{name}"]
+        assert after.value[f"{eye}_{name}"] == pytest.approx(old - by, abs=3.0)

@@ -19,7 +19,7 @@ is the point that the poses would take q for if they were linear.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -111,14 +111,15 @@ class Earlier:
     """The poses of an earlier calibration, None where they are not there.
 
     root: R (n_all, r) with inverse (r, n_all); added: (r, r) R^T M R; pull: (r,) R^T D_0^T E_0;
-    estimated: (n_all,) what it did not hold; seen: the coordinates at p_0; kept: positions of the
-    poses whose loops close.
+    estimated: (n_all,) what it did not hold; moved: (n_all,) by how much today's machine is
+    elsewhere; seen: the coordinates at p_0; kept: positions of the poses whose loops close.
     """
 
     begin: Array
     root: Array
     inverse: Array
     estimated: NDArray[np.bool_]
+    moved: Array
     problem: Problem | None = None
     kept: NDArray[np.intp] | None = None
     added: Array | None = None
@@ -126,8 +127,8 @@ class Earlier:
     seen: Seen | None = None
 
     @classmethod
-    def of(cls, calibrated: Calibrated) -> Earlier:
-        """Of a calibration, at its own sds."""
+    def of(cls, calibrated: Calibrated, moved: Mapping[str, float] = {}) -> Earlier:
+        """Of a calibration, at its own sds; moved: what changed since, by name [SI]."""
         parameters = calibrated.mechanism.parameters
         begin = np.array([p.nominal for p in parameters])
         # Rounding left in the rows of what was held would be scaled up to unit length below.
@@ -137,7 +138,8 @@ class Earlier:
         scale = np.linalg.norm(root, axis=1)
         scale = np.where(scale > 0.0, scale, 1.0)
         inverse = np.linalg.pinv(root / scale[:, None]) / scale
-        bare = cls(begin, root, inverse, calibrated.estimated)
+        changed = np.array([moved.get(name, 0.0) for name in parameters.names])
+        bare = cls(begin, root, inverse, calibrated.estimated, changed)
         if calibrated.poses is None or len(calibrated.poses) > _MOST:
             return bare
         problem = day_problem(calibrated, calibrated.poses, noise_of(calibrated))
@@ -217,8 +219,9 @@ class Earlier:
         return self.around(self.parameters_then(today, anew))
 
     def parameters_then(self, today: Array, anew: NDArray[np.bool_]) -> Array:
-        """The machine of today (n_all,) with what was placed anew since where it stood then."""
-        parameters, then = np.where(anew, self.begin, today), anew & self.estimated
+        """The machine of today (n_all,) with what was placed anew since, or moved, where it stood
+        then."""
+        parameters, then = np.where(anew, self.begin, today - self.moved), anew & self.estimated
         for _ in range(_PLACINGS if self.problem is not None and then.any() else 0):
             E, D = self._equations(parameters)
             parameters[then] += least_squares(D[:, then], E[:, None])[:, 0]

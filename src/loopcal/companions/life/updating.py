@@ -34,7 +34,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.arrays import Array
-from loopcal.companions.life.drift import CONDITIONS, Since, allowed, drift_of_conditions
+from loopcal.companions.life.drift import (
+    CONDITIONS,
+    Drifting,
+    Since,
+    allowed,
+    drift_of_conditions,
+)
 from loopcal.companions.life.earlier import Around, Earlier, Sloped
 from loopcal.document.findings import CheckEntry, ScaleEntry
 from loopcal.document.fit import NoiseEntry
@@ -189,15 +195,19 @@ def updated(
             standing = freed(calibrated.mechanism)
             day = replace(day, freed=tuple(n for n in day.freed if n not in standing))
         placed = day.placed()
-        conditions = drift_of_conditions(replace(day, calibrated=calibrated.drifted(drift)))
+        # No line from where the calibration was reaches a large change.
+        begun = day.placed({n: by for n, by in allowance.moved.items() if n in names})
+        after, readings = Drifting(calibrated, data, stated).after(allowance.moved)
+        later = replace(day, problem=Day.of(after, readings, stated, since.remounted).problem)
+        conditions = drift_of_conditions(replace(later, calibrated=calibrated.drifted(drift)))
         drift = np.hstack([drift, conditions])
-        earlier = Earlier.of(calibrated)
+        earlier = Earlier.of(calibrated, allowance.moved)
     result: FitResult | None = None
     around, share, stepped = placed.parameters, 1.0, np.zeros(len(placed.parameters))
     for number in range(_ROUNDS):
         with one_blas_thread():
             prior = _Prior.of(calibrated, placed, drift, earlier, around if number else None)
-        result = _fitted(calibrated, placed, prior, data, stated, result)
+        result = _fitted(calibrated, begun, prior, data, stated, result)
         if not result.status.converged:
             break  # it has no end that a further fit could begin near
         with one_blas_thread():
@@ -302,14 +312,16 @@ def _unchanged(calibrated: Calibrated, result: FitResult, placed: Replaced) -> s
 class _Prior:
     """What a calibration knows of the estimated parameters: |rows (phi(p) - m)|^2.
 
-    rows: (q, n) of unit variance; centre: (n_all,) where m stands; free: (n,) positions; sds: (n,)
-    of single parameters, inf where they are found anew; wider: (q, q) by how much the covariance of
+    rows: (q, n) of unit variance; centre: (n_all,) where m stands; free: (n,) positions; moved:
+    (n_all,) by how much today's machine is elsewhere than then; sds: (n,) of single parameters, inf
+    where they are found anew; wider: (q, q) by how much the covariance of
     the rows is larger than the information of the calibration says; around, follows: phi.
     """
 
     rows: Array
     centre: Array
     free: NDArray[np.intp]
+    moved: Array
     sds: Array
     wider: Array
     around: Around
@@ -341,10 +353,12 @@ class _Prior:
         carried = rows @ (around.carried * held)[free]
         informed = (np.abs(rows).max(axis=0, initial=0.0) > 0.0) & (sd > 0.0)
         stands = np.where(placed.anew, placed.parameters, around.mean)
+        stands = placed.parameters if around.seen is None and centre is None else stands
         return cls(
             rows,
-            placed.parameters if around.seen is None and centre is None else stands,
+            stands + earlier.moved,
             free,
+            earlier.moved,
             np.where(informed, sd, np.inf),
             carried @ earlier.wider(calibrated) @ carried.T,
             around,
@@ -356,7 +370,7 @@ class _Prior:
         around, free = self.around, self.free
         if around.seen is None:
             return Sloped(self.rows @ (parameters - self.centre)[free], self.rows)
-        then = around.mean + self.follows @ (parameters - around.mean)
+        then = around.mean + self.follows @ (parameters - self.moved - around.mean)
         coordinates = around.seen.at(then)
         away = coordinates.values - (around.mean - around.centre)
         slopes = (coordinates.slopes @ self.follows)[np.ix_(free, free)]
