@@ -410,7 +410,8 @@ class _Either:
         change = prior.at(result.solution.parameters)
         along = change.slopes @ machine
         weights = along @ change.slopes / (along @ along)
-        scale = along @ change.values / (along @ along)
+        since = change.values + change.slopes @ prior.moved[prior.free]
+        scale = along @ since / (along @ along)
         sd = np.sqrt(weights @ result.spectrum.covariance() @ weights)
         entry = scale_of_all(result.problem, float(scale), float(sd))
         return cls(0.5 * scale**2 * np.outer(every, every), (entry,))
