@@ -28,9 +28,9 @@ from loopcal.estimation.problem.problem import Problem
 from loopcal.statistics.innovation import Linearised
 from loopcal.statistics.judged_readings import RARE
 
-# Chosen, not derived: more than a machine errs that anybody verifies.
-_MOST = 1e3
-"""The largest factor."""
+# Chosen, not derived: readings that err so much do not belong to these poses.
+_MOST = 100.0
+"""A factor from which on nothing scatters."""
 # Chosen, not derived: the last values differ by a fiftieth, far less than the sd of a factor.
 _ROUNDS, _VALUES, _CLOSER = 6, 17, 0.45
 """Rounds of so many values of one factor and then of the other, in a range that gets closer."""
@@ -60,6 +60,8 @@ class DayNoise:
         without = [rotated.likeliest(1 - axis)[1] for axis in (0, 1)]
         sure = [axis for axis in (0, 1) if tail(max(without[axis] - least, 0.0), 1) < RARE]
         best, _ = rotated.likeliest(*sure)
+        if best.max() >= math.log(_MOST):
+            return cls()
         joints, others = np.exp(best).tolist()
         freedoms = np.square(rotated.shares(joints**2, others**2)).sum(axis=1)[sure]
         return cls(joints, others, float(freedoms.min(initial=math.inf)))
