@@ -130,7 +130,7 @@ def test_small_grids_of_other_arms_with_flat_priors(arm: str, seed: int) -> None
     converges_as_minpack(small(arm, seed))
 
 
-def curved(bend: float) -> Problem:
+def curved(bend: float, sd: float = 1.0) -> Problem:
     """A valley along y = bend x^2 / 2, a hundred times as steep as it falls (Rosenbrock 1960)."""
     machine = Mechanism.from_function(
         lambda q, p: [q.w * (p.y - 0.5 * bend * p.x * p.x) - q.a, p.x - q.b],
@@ -138,7 +138,7 @@ def curved(bend: float) -> Problem:
         {"x": (-1.0, "1"), "y": (0.5 * bend, "1")},
     )
     data = Dataset.from_arrays({"w": [100.0] * 4, "a": [0.0] * 4, "b": [0.9, 1.1, 0.95, 1.05]})
-    return started(machine, data, Noise({"w": 0.0, "a": 1.0, "b": 1.0}), "nominal")
+    return started(machine, data, Noise({"w": 0.0, "a": sd, "b": sd}), "nominal")
 
 
 @pytest.mark.parametrize("bend", [1.0, 30.0, 1000.0])
@@ -161,6 +161,16 @@ def test_a_fit_without_progress_ends_long_before_its_iterations_run_out(
     assert ended.status.reason == "stalled"
     assert ended.status.iterations <= 4
     assert ended.chi_squared <= began.chi_squared
+
+
+@pytest.mark.parametrize(("sd", "reason"), [(1e-3, "stalled"), (1.0, "converged")])
+def test_a_gross_misfit_that_hardly_falls_ends_soon(
+    sd: float, reason: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Readings 70 sds off are of another machine; of a file at fault 1,000 steps took minutes."""
+    monkeypatch.setattr(solver, "_PATIENCE", 2)
+    monkeypatch.setattr(solver, "_GROSS", 1.0)  # whatever the merit falls by is little
+    assert solve(curved(30.0, sd)).status.reason == reason
 
 
 def test_a_fit_that_gains_nothing_beside_its_sds_ends_and_can_be_used(

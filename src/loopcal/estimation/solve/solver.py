@@ -76,6 +76,10 @@ than the linearised loops are known to hold, by more."""
 # docs/decisions/0002: limits are by progress, MOST_ITERATIONS is only the cap.
 _PATIENCE, _PROGRESS = 100, 1e-9
 """The search ends where so many iterations lower the merit by no more than this share of it."""
+# Chosen, not derived: at this pace a thousand steps leave a third of a misfit, which stays gross.
+_GROSS = 0.1
+"""The same share where whitened residuals are as large as `_FAR`: readings do not belong to
+this machine, or the start is wrong."""
 # docs/decisions/0140: a third of an sd, along a valley in which 1,000 steps would not gain it.
 _CREEPING, _LEFT = 1e-3, 0.1
 """It ends as well where they lower it by no more than this share of the variance of a residual, and
@@ -199,7 +203,7 @@ class _Solver(Generic[State]):
                 left = current.spectrum.decrement if current.spectrum is not None else np.inf
                 if noted - merit <= _CREEPING * variance and left <= _LEFT * variance:
                     return self._give_up(current, "crept")
-                if not merit < (1 - _PROGRESS) * noted:
+                if not merit < (1 - (_GROSS if variance > _FAR else _PROGRESS)) * noted:
                     return self._give_up(current, "stalled")
 
     @property
