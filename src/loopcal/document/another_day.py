@@ -211,15 +211,16 @@ ANOTHER_DAY = (
         "{what} scatter {times:2} times as much as the calibration states, in each pose anew"
         "{sizes}.",
         "Check that the machine stands still while a pose is measured, that joints and readings "
-        "are of one moment, and that nothing is loose. Then measure and verify again.",
+        "are of one moment, and that nothing is loose. Far from the poses of the calibration a "
+        "machine may err more as well. Then measure and verify again.",
         _VERIFY,
         shared="errors-larger",
     ),
     _not_consistent(
         "readings-scatter",
         "{what} scatter {times:2} times as much as the calibration states{sizes}.",
-        "Check the instrument and its surroundings; of a camera the focus, the light and how "
-        "corners are detected. Then measure and verify again.",
+        "Check the instrument and that its target is firm; of a camera the focus, the light and "
+        "how corners are detected. Then measure and verify again.",
         _VERIFY,
         shared="errors-larger",
     ),

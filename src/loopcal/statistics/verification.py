@@ -53,6 +53,9 @@ from loopcal.statistics.verified import Placed, Verification, WorstPose
 # Chosen, not derived: time against the scatter of what is drawn.
 _DRAWS = 200
 """Of the errors that the stated covariance leads one to expect."""
+# Chosen, not derived: what a model lacks elsewhere is seldom so much larger, and is smooth.
+_SCATTERS = 3.0
+"""An error over what is stated that is sought as scatter, though its spread was learnt."""
 # Chosen, not derived: what a reader looks at.
 _WORST = 5
 _ROUNDED, _TURNED = 1e-6, 1e-5
@@ -242,7 +245,8 @@ def _searched(day: Day, linear: Linearised) -> tuple[WhatChanged | None, Run]:
         return None, run
     what = explained.what
     explains = what.verdict == "unchanged" or (what.left or 0.0) >= LEVEL
-    if explains or day.calibrated.residual is not None:
+    scatters = what.spread > _SCATTERS**2 or not explains
+    if not scatters or day.calibrated.residual is not None:
         return what, run
     # Beside all that may have changed: on another machine of the type nothing scatters.
     noise = DayNoise.of(explained.linear, explained.every)
