@@ -54,7 +54,7 @@ class DayNoise:
     def of(cls, linear: Linearised, changes: Array) -> DayNoise:
         """Beside changes with these columns (R, m)."""
         rotated = _Rotated.of(linear, np.hstack([linear.F, changes]))
-        if len(rotated.e) - rotated.X.shape[1] < _ENOUGH:
+        if len(linear.e) - rotated.X.shape[1] < _ENOUGH:
             return cls()
         _, least = rotated.likeliest(0, 1)
         without = [rotated.likeliest(1 - axis)[1] for axis in (0, 1)]
@@ -63,7 +63,7 @@ class DayNoise:
         if best.max() >= math.log(_MOST):
             return cls()
         joints, others = np.exp(best).tolist()
-        freedoms = np.square(rotated.shares(joints**2, others**2)).sum(axis=1)[sure]
+        freedoms = rotated.freedoms(joints**2, others**2)[sure]
         return cls(joints, others, float(freedoms.min(initial=math.inf)))
 
     def larger(self, than: float) -> dict[str, float]:
@@ -84,12 +84,14 @@ AS_STATED = DayNoise()
 @dataclass(frozen=True, eq=False)
 class _Rotated:
     """The equations of all poses along the axes of P_i: e (R, 1), X (R, m) with columns of length
-    1, A (R, r), share (R,) of the noise of joints."""
+    1, A (R, r), share (R,) of the noise of joints; more: equations without any such noise, which
+    are most of those of images, beyond those that stand for them."""
 
     e: Array
     X: Array
     A: Array
     share: Array
+    more: int
 
     @classmethod
     def of(cls, linear: Linearised, X: Array) -> _Rotated:
@@ -110,8 +112,12 @@ class _Rotated:
             turned.append((U.transpose(0, 2, 1) @ every[part].reshape(b, r, -1)).reshape(b * r, -1))
             shares.append(share.ravel())
             begin += b * r
-        e, X, A = np.split(np.concatenate(turned), [1, 1 + X.shape[1]], axis=1)
-        return cls(e, X, A, np.concatenate(shares))
+        every, of_joints = np.concatenate(turned), np.concatenate(shares)
+        alike = np.linalg.qr(every[of_joints == 0.0], mode="r")
+        rest = np.vstack([every[of_joints > 0.0], alike])
+        of_rest = np.append(of_joints[of_joints > 0.0], np.zeros(len(alike)))
+        e, X, A = np.split(rest, [1, 1 + X.shape[1]], axis=1)
+        return cls(e, X, A, of_rest, len(every) - len(rest))
 
     def likeliest(self, *axes: int) -> tuple[Array, float]:
         """Logs of both factors of sds where those of these axes are likeliest and the other is 0,
@@ -126,10 +132,12 @@ class _Rotated:
             half *= _CLOSER
         return best, self.unlikely(*np.exp(2.0 * best))
 
-    def shares(self, joints: float, others: float) -> Array:
-        """(2, R) of both in the variance of each equation, where their variances are so large."""
+    def freedoms(self, joints: float, others: float) -> Array:
+        """(2,) degrees of freedom of both variances, where they are so large: the sum of the
+        squares of their shares in the variance of each equation."""
         parts = np.array([joints * self.share, others * (1.0 - self.share)])
-        return np.asarray(parts / parts.sum(axis=0))
+        squares = np.square(parts / parts.sum(axis=0)).sum(axis=1)
+        return np.asarray(squares + np.array([0.0, self.more]))
 
     def unlikely(self, joints: float, others: float) -> float:
         """-2 log of the restricted likelihood at these factors of variances, but for a constant."""
@@ -140,4 +148,5 @@ class _Rotated:
         # With h ~ N(0, 1) as rows, the squares of the diagonal are the determinants of 1 + A^T A
         # and X^T S^-1 X, and the last one is what X leaves of e.
         R = np.abs(np.diag(np.linalg.qr(np.vstack([rows, prior]), mode="r")))
-        return float(np.log(d).sum() + 2.0 * np.log(R[:-1]).sum() + R[-1] ** 2)
+        logs = np.log(d).sum() + self.more * np.log(others) + 2.0 * np.log(R[:-1]).sum()
+        return float(logs + R[-1] ** 2)
