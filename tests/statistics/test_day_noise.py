@@ -29,8 +29,10 @@ def days(seed: int) -> tuple[lc.Result, dict[str, np.ndarray], list[str]]:
     return made, second, [q for q in second if q not in trial.inside.outputs]
 
 
-def learnt(seed: int, joints: float = 1.0, others: float = 1.0, zero: float = 0.0) -> DayNoise:
-    """Of a day whose errors are so many times as large; zero: by which that of J3 has moved."""
+def read(
+    seed: int, joints: float = 1.0, others: float = 1.0, zero: float = 0.0
+) -> dict[str, np.ndarray]:
+    """A day whose errors are so many times as large; zero: by which that of J3 has moved."""
     result, second, turning = days(seed)
     rng, readings = np.random.default_rng([7, seed]), {n: row.copy() for n, row in second.items()}
     sds = {q: one.sd for one in result.document.noise for q in one.quantities}
@@ -38,6 +40,11 @@ def learnt(seed: int, joints: float = 1.0, others: float = 1.0, zero: float = 0.
         times = joints if name in turning else others
         row += np.sqrt(times**2 - 1.0) * sds[name] * rng.standard_normal(len(row))
     readings[turning[2]] += zero
+    return readings
+
+
+def learnt(seed: int, joints: float = 1.0, others: float = 1.0, zero: float = 0.0) -> DayNoise:
+    result, readings = days(seed)[0], read(seed, joints, others, zero)
     day = Day.of(Calibrated.of(result, "").stationed, lc.Dataset.from_arrays(readings), None)
     explained = what_changed(day, day.linearised())
     assert explained is not None
@@ -64,3 +71,17 @@ def test_a_zero_that_moved_is_no_scatter() -> None:
     assert not any(learnt(seed, zero=2e-3).larger(1.5) for seed in SEEDS)
     both = [learnt(seed, joints=8.0, zero=2e-3) for seed in SEEDS]
     assert all([*one.larger(1.5)] == ["joints"] for one in both)
+
+
+def test_what_is_placed_anew_is_as_unsure_as_readings_scatter() -> None:
+    """Beside the same poses without that scatter, which are sure by far less."""
+    z = []
+    for seed in SEEDS:
+        result = days(seed)[0]
+        as_stated, shaken = (lc.verify(result, read(seed, times)) for times in (1.0, 8.0))
+        assert shaken.changes is not None
+        assert [*shaken.changes.scatter] == ["joints"]
+        for one, other in zip(as_stated.placed, shaken.placed, strict=True):
+            assert other.sd is not None
+            z.append((other.value - one.value) / other.sd)
+    assert 0.7 < np.sqrt(np.mean(np.square(z))) < 1.4

@@ -197,6 +197,10 @@ def _verified(day: Day, tolerance: float | None, copied: int, repeated: int) -> 
     rare = 1.0 if calibrated is None else chance(calibrated.rms)
     if changes is not None and (drift := smallest_drift(rest, judged, changes.spread)):
         changes = replace(changes, candidates=(*changes.candidates, drift))
+    # Expected errors are the stated ones; what is placed anew is as unsure as readings scatter.
+    scatter = changes.scatter if changes is not None else {}
+    noise = DayNoise(scatter.get("joints", 1.0), scatter.get("readings", 1.0))
+    at_scatter = rest.noisier(noise).linearised() if scatter else judged
     known = dict(zip(mechanism.tape.pose_constants, problem.pose_constants, strict=True))
     outliers = tuple(problem.poses[i] for i in run.outliers)
     worst = (*(one for one in _worst(linear) if one.pose in outliers), *_worst(judged))
@@ -209,7 +213,7 @@ def _verified(day: Day, tolerance: float | None, copied: int, repeated: int) -> 
         gain=gain,
         innovation=linear.innovation() if changes is None else changes.test,
         changes=changes,
-        placed=_placed(judged, day.freed),
+        placed=_placed(at_scatter, day.freed),
         worst=worst[:_WORST],
         quantile=None if every is None else Quantile.of(every),
         tolerance=tolerance,
