@@ -211,6 +211,29 @@ def test_a_quaternion_with_w_first_under_names_that_have_it_last_is_recognised(
     assert_gives_the_noise_back(tmp_path / "out")
 
 
+@pytest.mark.parametrize("one, other", [("qw", "qx"), ("qy", "qw"), ("qx", "qz")])
+def test_numbers_of_a_quaternion_under_each_others_headers_are_named(
+    tmp_path: Path, camera: Any, one: str, other: str
+) -> None:
+    joints, T = camera
+    turned = np.roll(quaternion(T[:, :3, :3]), 1, axis=1)
+    columns = {**of(joints, NAMES), **of(T[:, :3, 3], "xyz")}
+    columns |= of(turned, ["qw", "qx", "qy", "qz"])
+    columns[one], columns[other] = columns[other], columns[one]
+    named = rf"(?s)({one}, {other}|{other}, {one}) are under each other's headers"
+    with pytest.raises(lc.InputError, match=named):
+        lc.init(table(tmp_path / "a.csv", columns), dh=dh(tmp_path), out=tmp_path / "out")
+
+
+def test_inverse_rotations_beside_points_are_named(tmp_path: Path, camera: Any) -> None:
+    joints, T = camera
+    inverse = np.roll(quaternion(np.linalg.inv(T[:, :3, :3])), 1, axis=1)
+    columns = {**of(joints, NAMES), **of(T[:, :3, 3], "xyz")}
+    columns |= of(inverse, ["qw", "qx", "qy", "qz"])
+    with pytest.raises(lc.InputError, match="qw, qx, qy, qz hold the inverse rotation"):
+        lc.init(table(tmp_path / "a.csv", columns), dh=dh(tmp_path), out=tmp_path / "out")
+
+
 def test_poses_without_a_quaternion_have_no_made_up_orientation(
     camera: Any,
 ) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import chain, combinations, islice, product
+from itertools import chain, combinations, islice, permutations, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from loopcal.arrays import Array
 from loopcal.files.recognition.fields import Field, names_of
 from loopcal.files.recognition.joins import Fields
 from loopcal.files.recognition.layouts import FEWEST, Seen
-from loopcal.files.recognition.meanings import LENGTHS, Meaning
+from loopcal.files.recognition.meanings import LENGTHS, Meaning, positions, turned_by
 from loopcal.files.recognition.shots import MOST_TARGETS
 from loopcal.presentation.shown import with_unit
 from loopcal.units import unit
@@ -91,6 +91,7 @@ def objection(case: Case) -> Explanation | None:
         _rows_in_other_units(case),
         _moved_too(case),
         _coordinates(case),
+        _orientations(case),
         turned_round(case, 1),
         displaced_zeros(case, 1),
         exchanged(case),
@@ -200,6 +201,32 @@ def _coordinates(case: Case) -> Iterator[Explanation]:
                         f"{percent(share)} of their spread",
                         "convert the column, or state the unit of each in its header",
                     )
+
+
+def _orientations(case: Case) -> Iterator[Explanation]:
+    """Orientations whose numbers are under each other's headers, or that are inverse though the
+    points are not."""
+    for way in case.ways:
+        for meaning in (m for m in way.seen if m.seen.turned and m.seen.form != "matrix"):
+            seen = meaning.seen
+            point = positions(seen, meaning.length, meaning.angle, meaning.form)
+            R = turned_by(seen, meaning.angle, meaning.form, meaning.order)
+            tried = {f"{names_of(seen.turned)} hold the inverse rotation": np.swapaxes(R, 1, 2)}
+            for order in permutations(meaning.order):
+                moved = [seen.turned[i] for i, j in zip(meaning.order, order, strict=True) if i != j]
+                words = f"{names_of(moved)} are under each other's headers"
+                tried[words] = turned_by(seen, meaning.angle, meaning.form, order)
+            few = _few(len(point))
+            for words, turns in tried.items():
+                other = replace(meaning, inverted=False, position=point, turns=turns)
+                share = other.fitted(way.bodies, few, 2).share
+                yield Explanation(
+                    share,
+                    "implausible-readings",
+                    f"{words}: put right, the nominal machine misses the readings by "
+                    f"{percent(share)} of their spread, as read by {percent(way.share)}",
+                    "correct the headers, or convert the columns",
+                )
 
 
 def _rows_in_other_units(case: Case) -> Iterator[Explanation]:
