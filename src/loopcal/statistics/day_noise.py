@@ -17,6 +17,7 @@ corners.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +26,8 @@ from loopcal.arrays import Array, span
 from loopcal.chi_squared import tail
 from loopcal.estimation.dependence.dependence import joint_rows
 from loopcal.estimation.problem.problem import Problem
+from loopcal.small_samples import f_tail
+from loopcal.statistics.changed import LARGER
 from loopcal.statistics.innovation import Linearised
 from loopcal.statistics.judged_readings import RARE
 
@@ -51,25 +54,32 @@ class DayNoise:
     freedom: float = math.inf
 
     @classmethod
-    def of(cls, linear: Linearised, changes: Array) -> DayNoise:
-        """Beside changes with these columns (R, m)."""
+    def of(
+        cls, linear: Linearised, changes: Array, learnt: Sequence[float] = (math.inf, math.inf)
+    ) -> DayNoise:
+        """Beside changes with these columns (R, m); learnt: degrees of freedom of the stated
+        variances of joints and of all others."""
         rotated = _Rotated.of(linear, np.hstack([linear.F, changes]))
-        if len(linear.e) - rotated.X.shape[1] < _ENOUGH:
+        if len(linear.e) - rotated.X.shape[1] < _ENOUGH or not rotated.scatters:
             return cls()
         _, least = rotated.likeliest(0, 1)
         without = [rotated.likeliest(1 - axis)[1] for axis in (0, 1)]
         sure = [axis for axis in (0, 1) if tail(max(without[axis] - least, 0.0), 1) < RARE]
         best, _ = rotated.likeliest(*sure)
+        freedoms, larger = rotated.freedoms(best), np.exp(2.0 * best)
+        chance = [f_tail(larger[i] * freedoms[i], freedoms[i], learnt[i]) for i in sure]
+        sure = [axis for axis, p in zip(sure, chance, strict=True) if p < RARE]
+        best, _ = rotated.likeliest(*sure)
         if best.max() >= math.log(_MOST):
             return cls()
         joints, others = np.exp(best).tolist()
-        freedoms = rotated.freedoms(joints**2, others**2)[sure]
-        return cls(joints, others, float(freedoms.min(initial=math.inf)))
+        return cls(joints, others, float(rotated.freedoms(best)[sure].min(initial=math.inf)))
 
-    def larger(self, than: float) -> dict[str, float]:
-        """The sds of joints and of readings that are more than so many times as large as stated."""
+    @property
+    def larger(self) -> dict[str, float]:
+        """The sds of joints and of readings that are clearly larger than stated."""
         both = {"joints": self.joints, "readings": self.others}
-        return {name: times for name, times in both.items() if times > than}
+        return {name: times for name, times in both.items() if times > LARGER}
 
     def within(self, problem: Problem) -> Problem:
         """The readings with these sds."""
@@ -119,6 +129,12 @@ class _Rotated:
         e, X, A = np.split(rest, [1, 1 + X.shape[1]], axis=1)
         return cls(e, X, A, of_rest, len(every) - len(rest))
 
+    @property
+    def scatters(self) -> bool:
+        """Whether clearly larger sds of joints, or of all others, are likelier than as stated."""
+        larger = [self.unlikely(LARGER**2, 1.0), self.unlikely(1.0, LARGER**2)]
+        return min(larger) < self.unlikely(1.0, 1.0)
+
     def likeliest(self, *axes: int) -> tuple[Array, float]:
         """Logs of both factors of sds where those of these axes are likeliest and the other is 0,
         and `unlikely` there."""
@@ -132,10 +148,10 @@ class _Rotated:
             half *= _CLOSER
         return best, self.unlikely(*np.exp(2.0 * best))
 
-    def freedoms(self, joints: float, others: float) -> Array:
-        """(2,) degrees of freedom of both variances, where they are so large: the sum of the
-        squares of their shares in the variance of each equation."""
-        parts = np.array([joints * self.share, others * (1.0 - self.share)])
+    def freedoms(self, logs: Array) -> Array:
+        """(2,) degrees of freedom of both variances at these logs (2,) of the factors: the sum of
+        the squares of their shares in the variance of each equation."""
+        parts = np.exp(2.0 * logs)[:, None] * np.array([self.share, 1.0 - self.share])
         squares = np.square(parts / parts.sum(axis=0)).sum(axis=1)
         return np.asarray(squares + np.array([0.0, self.more]))
 

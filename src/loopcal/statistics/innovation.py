@@ -25,7 +25,7 @@ and F has the denominator of Fai and Cornelius (`loopcal.small_samples`).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -306,6 +306,17 @@ def _noise_freedom(calibrated: Calibrated, placement: Replaced) -> float:
         inverse = [_inverse_freedom(entry.sd, entry.sd_of_sd) for entry in entries]
         total = float(np.square(shares) @ np.array(inverse))
     return 1.0 / total if total > 0.0 else np.inf
+
+
+def noise_freedoms(calibrated: Calibrated, joints: Collection[str]) -> tuple[float, float]:
+    """Degrees of freedom of the least sure variance of these quantities, and of that of the
+    others; inf where all are stated."""
+    inverse = [0.0, 0.0]
+    for entry in _learnt(calibrated):
+        which = 0 if set(joints) & set(entry.quantities) else 1
+        inverse[which] = max(inverse[which], _inverse_freedom(entry.sd, entry.sd_of_sd))
+    of_joints, of_others = (1.0 / one if one > 0.0 else math.inf for one in inverse)
+    return of_joints, of_others
 
 
 def _inverse_freedom(sd: float, sd_of_sd: float | None) -> float:

@@ -26,6 +26,7 @@ from loopcal.estimation.accuracy import (
     main_unit,
     overall,
 )
+from loopcal.estimation.dependence.dependence import joint_rows
 from loopcal.estimation.dependence.stated_poses import StatedPoses
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.result import FitResult
@@ -37,12 +38,12 @@ from loopcal.measurements.noise import Noise, NoiseLike
 from loopcal.statistics.another_day import Day
 from loopcal.statistics.calibrated import Calibrated, ResidualVariance
 from loopcal.statistics.change_tests import Explained, what_changed
-from loopcal.statistics.changed import DRIFT_OR_CHANGE, LARGER, LEVEL, WhatChanged
+from loopcal.statistics.changed import DRIFT_OR_CHANGE, LEVEL, WhatChanged
 from loopcal.statistics.day_drift import drifted, smallest_drift
 from loopcal.statistics.day_noise import DayNoise
 from loopcal.statistics.day_run import NO_POSES, Run, faults, searched, with_further
 from loopcal.statistics.gain import Gain
-from loopcal.statistics.innovation import Linearised
+from loopcal.statistics.innovation import Linearised, noise_freedoms
 from loopcal.statistics.joint_errors import JointErrors
 from loopcal.statistics.later_corners import fitting_corners
 from loopcal.statistics.other_conditions import unlike
@@ -55,7 +56,7 @@ _DRAWS = 200
 """Of the errors that the stated covariance leads one to expect."""
 # Chosen, not derived: what a model lacks elsewhere is seldom so much larger, and is smooth.
 _SCATTERS = 3.0
-"""An error over what is stated that is sought as scatter, though its spread was learnt."""
+"""An error over what is stated that is sought as scatter, though a spread was learnt."""
 # Chosen, not derived: what a reader looks at.
 _WORST = 5
 _ROUNDED, _TURNED = 1e-6, 1e-5
@@ -241,20 +242,23 @@ def _fewer(what: WhatChanged, before: WhatChanged) -> bool:
 def _searched(day: Day, linear: Linearised) -> tuple[WhatChanged | None, Run]:
     """What changed since the calibration, and during the run; or by how much readings scatter.
 
-    Readings that scatter more than stated look like changes that do not explain all differences.
-    What changed is searched anew with such sds then. It counts where it is less.
+    Readings that scatter more than stated look like changes, or like none where most equations of
+    an image see no joint. What changed is searched anew with such sds then. It counts where it is
+    no more.
     """
     explained, run = _changes(day, linear)
     if explained is None:
         return None, run
     what = explained.what
     explains = what.verdict == "unchanged" or (what.left or 0.0) >= LEVEL
-    scatters = what.spread > _SCATTERS**2 or not explains
-    if not scatters or day.calibrated.residual is not None:
+    lacking = explains and 1.0 < what.spread <= _SCATTERS**2
+    if lacking or day.calibrated.residual is not None:
         return what, run
     # Beside all that may have changed: on another machine of the type nothing scatters.
-    noise = DayNoise.of(explained.linear, explained.every)
-    if not (scatter := noise.larger(LARGER)):
+    names, rows = day.problem.mechanism.tape.quantities, joint_rows(day.problem)
+    learnt = noise_freedoms(day.calibrated, [names[i] for i in rows])
+    noise = DayNoise.of(explained.linear, explained.every, learnt)
+    if not (scatter := noise.larger):
         return what, run
     noisier = day.noisier(noise)
     again, later = _changes(noisier, noisier.linearised())
@@ -264,7 +268,7 @@ def _searched(day: Day, linear: Linearised) -> tuple[WhatChanged | None, Run]:
         (*one.found, *at.shifts.found, *at.outliers)
         for one, at in ((what, run), (again.what, later))
     )
-    if before and len(after) >= len(before):
+    if len(after) > len(before):
         return what, run
     return replace(again.what, test=what.test, scatter=scatter), later
 

@@ -211,7 +211,7 @@ def test_a_quaternion_with_w_first_under_names_that_have_it_last_is_recognised(
     assert_gives_the_noise_back(tmp_path / "out")
 
 
-@pytest.mark.parametrize("one, other", [("qw", "qx"), ("qy", "qw"), ("qx", "qz")])
+@pytest.mark.parametrize(("one", "other"), [("qw", "qx"), ("qy", "qw"), ("qx", "qz")])
 def test_numbers_of_a_quaternion_under_each_others_headers_are_named(
     tmp_path: Path, camera: Any, one: str, other: str
 ) -> None:

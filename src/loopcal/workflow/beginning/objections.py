@@ -213,7 +213,9 @@ def _orientations(case: Case) -> Iterator[Explanation]:
             R = turned_by(seen, meaning.angle, meaning.form, meaning.order)
             tried = {f"{names_of(seen.turned)} hold the inverse rotation": np.swapaxes(R, 1, 2)}
             for order in permutations(meaning.order):
-                moved = [seen.turned[i] for i, j in zip(meaning.order, order, strict=True) if i != j]
+                moved = [
+                    seen.turned[i] for i, j in zip(meaning.order, order, strict=True) if i != j
+                ]
                 words = f"{names_of(moved)} are under each other's headers"
                 tried[words] = turned_by(seen, meaning.angle, meaning.form, order)
             few = _few(len(point))
@@ -223,7 +225,7 @@ def _orientations(case: Case) -> Iterator[Explanation]:
                 yield Explanation(
                     share,
                     "implausible-readings",
-                    f"{words}: put right, the nominal machine misses the readings by "
+                    f"{words}: corrected, the nominal machine misses the readings by "
                     f"{percent(share)} of their spread, as read by {percent(way.share)}",
                     "correct the headers, or convert the columns",
                 )
