@@ -189,6 +189,15 @@ def test_joints_that_nothing_distinguishes_are_asked_for(tmp_path: Path) -> None
     assert np.allclose(joint_readings(named), world.read, atol=1e-6)
 
 
+@pytest.mark.parametrize("name", ["z", "z1", "height_2"])
+def test_one_coordinate_alone_is_no_wire(tmp_path: Path, name: str) -> None:
+    world = World("six", 1)
+    described(world, tmp_path)
+    columns = {**joints(world, "J{}"), name: world.points[:, 2]}
+    with refused("missing-column", f"{name!r} alone places no point", "in a mechanism file"):
+        lc.init(tmp_path / written(tmp_path / "a.csv", columns), dh=tmp_path / "dh.csv")
+
+
 def begun_by_the_next_command(name: str, folder: Path) -> tuple[World, lc.Project]:
     """A layout that is refused, and the project that the command in its refusal makes."""
     robot, maker = LAYOUTS[name]

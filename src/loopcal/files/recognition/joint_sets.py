@@ -70,6 +70,9 @@ def names_joints(names: Sequence[str], *, every: bool = False) -> bool:
     return count > 1 and (not every or count == len(names))
 
 
+BY_MACHINE = "by the machine's joint names"
+
+
 def joint_sets(fields: Sequence[Field], count: int, names: Sequence[str]) -> list[Joints]:
     """Every set of `count` columns that may be the joints, the likeliest first.
 
@@ -79,8 +82,8 @@ def joint_sets(fields: Sequence[Field], count: int, names: Sequence[str]) -> lis
     exact = named_joints(fields, names)
     sets: list[Joints] = []
     if names and len(exact) == len(names):
-        sets.append((tuple(exact[n] for n in names), "by the machine's joint names"))
-    sets += [(columns, "by the machine's joint names") for columns in affixed_joints(fields, names)]
+        sets.append((tuple(exact[n] for n in names), BY_MACHINE))
+    sets += [(columns, BY_MACHINE) for columns in affixed_joints(fields, names)]
     how = "by their names"
     for arm in _ARMS:
         sets += [

@@ -6,6 +6,7 @@ import re
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations
+from string import digits
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from loopcal.errors import InputError
 from loopcal.files.recognition.fields import STATIONS, Field, moving, unnamed
 from loopcal.files.recognition.headers import expanded, sd_of, words
 from loopcal.files.recognition.joint_sets import (
+    BY_MACHINE,
     NUMBERED,
     UNIT_NORM,
     families_of,
@@ -161,7 +163,8 @@ def _single_station(
                 refusals.append(error)
         if made:
             return tuple(made)
-        if joints or len(usual_joints(fields)) in (0, count):
+        by_name = joints or sets[0][1] == BY_MACHINE
+        if by_name or len(usual_joints(fields)) in (0, count):
             raise refusals[0]
     if usual := usual_joints(fields):
         more = "E1 or another axis" if len(usual) > count else "a joint"
@@ -322,8 +325,8 @@ def _read_in_order(fields: Sequence[Field]) -> Iterator[Seen]:
 
 
 def _is_coordinate(field: Field) -> bool:
-    """Whether its name is that of one coordinate of a point: z, z_meas, height."""
-    return bool(_COORDINATES & {*field.stem.split("_")})
+    """Whether its name is that of one coordinate of a point: z, z1, z_meas, height."""
+    return bool(_COORDINATES & {word.rstrip(digits) for word in field.stem.split("_")})
 
 
 def numbered(fields: Sequence[Field]) -> tuple[Seen, ...]:
