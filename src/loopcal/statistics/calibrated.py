@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -275,7 +275,18 @@ class Calibrated:
         do, where it was calibrated without such sag."""
         from loopcal.mechanisms.structure.structured import loadable
 
-        if (made := loadable(self.mechanism)) is self.mechanism:
+        return self._with_further(loadable(self.mechanism))
+
+    def scalable(self, names: Container[str] | None = None) -> Calibrated:
+        """The same as a machine whose slides may grow, where it was calibrated without these
+        scales."""
+        from loopcal.mechanisms.structure.structured import scalable
+
+        return self._with_further(scalable(self.mechanism, names))
+
+    def _with_further(self, made: Mechanism) -> Calibrated:
+        """As a machine with further parameters, which are held at their nominal values."""
+        if made is self.mechanism:
             return self
         E = np.equal.outer(made.parameters.names, self.mechanism.parameters.names).astype(float)
         prior_sd = np.array([p.prior_sd for p in made.parameters])

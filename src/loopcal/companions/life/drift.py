@@ -42,6 +42,7 @@ from loopcal.statistics.changed import CONDITIONAL, LEVEL, PLACED, Change
 from loopcal.statistics.innovation import Linearised
 from loopcal.statistics.possible_changes import EXPANSION, HEAVY, scale_of
 from loopcal.statistics.predictive import unmeasured_corrections
+from loopcal.statistics.replacing import IN_PROPORTION
 from loopcal.statistics.verification import verified
 from loopcal.statistics.verified import Verification
 
@@ -132,7 +133,7 @@ def allowed(calibrated: Calibrated, data: Dataset, since: Since, noise: Noise | 
         sds = drifting.followed(changes, every_move)
         if allowance.consistent or not sds or not all(within is None or n in within for n in sds):
             return allowance
-        moved = check.changes.moved if check.changes and len(changes) == len(named) else {}
+        moved = _of_parameters(every_move) if len(changes) == len(named) else {}
         columns = drifting.halfway(moved).columns(sds)
         wider = checked(np.hstack([allowance.drift, columns]), moved)
         words = tuple(followed_words(change, sds) for change in changes)
@@ -149,6 +150,12 @@ def allowed(calibrated: Calibrated, data: Dataset, since: Since, noise: Noise | 
             # Whether two machines are mixed is asked of all that was allowed.
             return narrow if narrow.consistent else replace(narrow, check=every.check)
     return followed(every)
+
+
+def _of_parameters(moved: Mapping[str, float]) -> dict[str, float]:
+    """With scales of slides in place of what they read in proportion."""
+    slides = {name: f"{name.removesuffix(IN_PROPORTION)}_scale" for name in moved}
+    return {slides[n] if n.endswith(IN_PROPORTION) else n: by for n, by in moved.items()}
 
 
 @dataclass(frozen=True, eq=False)

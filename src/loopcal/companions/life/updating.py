@@ -164,9 +164,8 @@ def updated(
             remedy="give noise, or update a calibration by another method",
         )
     calibrated = replace(calibrated, residual=None)
-    stiff, calibrated = (
-        one.stationed if since.moved else one for one in (calibrated, calibrated.loadable)
-    )
+    as_calibrated, calibrated = calibrated, calibrated.loadable.scalable()
+    calibrated = calibrated.stationed if since.moved else calibrated
     data = fitting_corners(calibrated, data, stated, since.remounted)
     data, stated = day_as_means(calibrated, data, stated, since.remounted)
     allowance = allowed(calibrated, data, since, stated)
@@ -181,10 +180,11 @@ def updated(
         data, stated = data.without_outliers(gone), stated and stated.take(kept)
         allowance = allowed(calibrated, data, since, stated)
     drift, grown, names = allowance.drift, allowance.grown, calibrated.mechanism.parameters.names
-    rows = [names.index(name) for name in stiff.mechanism.parameters.names]
-    if not np.delete(drift, rows, axis=0).any():  # no other load is followed
-        calibrated, drift, grown = stiff, drift[rows], None if grown is None else grown[:, rows]
-    calibrated = calibrated.continuing
+    followed = {name for name, row in zip(names, drift, strict=True) if row.any()}
+    calibrated = _following(as_calibrated, followed)
+    calibrated = (calibrated.stationed if since.moved else calibrated).continuing
+    rows = [names.index(name) for name in calibrated.mechanism.parameters.names]
+    drift, grown = drift[rows], None if grown is None else grown[:, rows]
     held = stated is not None
     if stated is None:
         stated, data = noise_of(calibrated), as_learnt(calibrated, data)
@@ -248,6 +248,14 @@ def updated(
     done = Updated(result, allowance.check)
     result = result.with_parts(check=done.entry)
     return replace(done, result=result.noted(*filter(None, [done.mixed])))
+
+
+def _following(calibrated: Calibrated, names: set[str]) -> Calibrated:
+    """The machine with no more than these parameters need: of what the calibration did not have it
+    knows nothing, so that the fit would find it anew."""
+    loaded = calibrated.loadable
+    added = {*loaded.mechanism.parameters.names}.difference(calibrated.mechanism.parameters.names)
+    return (loaded if added & names else calibrated).scalable(names)
 
 
 def _fitted(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Container, Mapping, Sequence
 from dataclasses import replace
 from typing import Annotated, Any, TypeVar
 
@@ -196,6 +196,14 @@ def loadable(mechanism: Mechanism) -> Mechanism:
     )
     # Terms stay as they are: after an update no parameter belongs to one.
     return replace(made, parameters=Parameters(tuple(every)), terms=mechanism.terms)
+
+
+def scalable(mechanism: Mechanism, names: Container[str] | None = None) -> Mechanism:
+    """The mechanism with the scales that its slides have when they are warm or set up anew,
+    nominally 0, where it has none; loops of a Python function as they are. names: of those."""
+    further = _further(mechanism, _scales_of_slides(mechanism)) if _has_roles(mechanism) else []
+    some = [e for e in further if names is None or all(n in names for n in e.parameters(mechanism))]
+    return with_effects(mechanism, some) if some else mechanism
 
 
 def _has_roles(mechanism: Mechanism) -> bool:
@@ -473,13 +481,17 @@ def _with_drives(mechanism: Mechanism) -> tuple[Mechanism, list[str]]:
         turning,
         Term(DRIVES[0], ("",), 1e-4, words="gears and encoders are out of round by {scale}"),
     )
-    sliding = [Scale((q,), f"{EFFECT} {q}") for q in driven if mechanism.quantities[q] == "m"]
     made = _with_drive(
         made,
-        _further(made, sliding),
+        _further(made, _scales_of_slides(made)),
         Term(DRIVES[1], ("",), 1e-4, words="scales of slides are wrong by {scale}"),
     )
     return made, [q for effect in turning for q in effect.joints]
+
+
+def _scales_of_slides(mechanism: Mechanism) -> list[Scale]:
+    slides = [q for q in driven_joints(mechanism) if mechanism.quantities[q] == "m"]
+    return [Scale((q,), f"{EFFECT} {q}") for q in slides]
 
 
 def _with_awaiting(mechanism: Mechanism) -> Mechanism:
