@@ -19,7 +19,9 @@ from loopcal.estimation.cameras.scene import Adjusted, Scene
 from loopcal.estimation.cameras.start import start
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
+from loopcal.workflow.beginning.later_images import _refuse_another_format
 from tests.estimation.cameras.truth import COLUMNS, ROWS, SIZE, grid_board, motion, pixel, shots
+from tests.refusals import refused
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -151,6 +153,17 @@ def test_a_mirror_of_images_of_any_size_is_left_open() -> None:
     for pixels, code in ((uv, MIRRORED), (true.corners.uv[:, ::-1].copy(), "uv-exchanged")):
         begun = start(true.corners.at(pixels), true.T)
         assert [fact.code for fact in begun.facts if fact.applied][:1] == [code]
+
+
+def test_v_that_counts_upwards_on_a_later_day_is_refused_as_that() -> None:
+    """Of images without a size it is u and v exchanged, and a lens on its side."""
+    true = shots(60203, images=16)
+    uv = true.corners.uv.copy()
+    uv[:, 1] = SIZE[1] - 1.0 - uv[:, 1]
+    lens = replace(true.intrinsics["cam"], image=None)
+    begun = start(true.corners.at(uv), true.T, {"cam": lens}, {}, true.held)
+    with refused("conflicting-keys", "mirror", "v = height - 1 - v"):
+        _refuse_another_format(begun.facts)
 
 
 @pytest.mark.parametrize("wrong", [0, 1])

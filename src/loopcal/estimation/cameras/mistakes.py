@@ -40,6 +40,8 @@ from loopcal.presentation.shown import significant
 
 RESIZED, TURNED = "intrinsics-of-another-size", "intrinsics-turned"
 """Facts of images that are not in the format that the intrinsics are of."""
+MIRRORS = ("uv-exchanged", "u-reversed", "v-reversed")
+"""Facts of pixels in a mirror."""
 MIRRORED = "pixels-mirrored"
 """Fact of pixels that several mistakes explain alike, with different places of the camera."""
 CLEAR = 0.6
@@ -451,7 +453,7 @@ def _unmirrored(reading: Reading, facts: list[Fact]) -> tuple[Reading, list[Fact
     ]
     measured = [(misfit(other), i) for i, (_, _, other) in enumerate(choices)]
     px, i = min(measured)
-    reverses = choices[i][0] in ("u-reversed", "v-reversed")
+    reverses = choices[i][0] in MIRRORS[1:]
     if reverses and px > CLEAR * measured[0][0] and _inside(choices[0][2]):
         i = 0
     code, sentence, other = choices[i]
