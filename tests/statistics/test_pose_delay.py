@@ -12,7 +12,10 @@ from scipy.spatial.transform import Rotation
 import loopcal as lc
 from loopcal.document.findings import Undetermined
 from loopcal.statistics.change_points import find_shifts
+from loopcal.statistics.ordered_system import ordered_system
+from loopcal.statistics.pose_delay import pose_delay
 from loopcal.statistics.verdict import findings_of
+from tests.mechanisms.test_camera import SIX
 from tests.reference.simulated import planar_arm
 from tests.statistics.test_camera_changes import LENS, PLACE, POINTS, SDS
 from tests.statistics.test_change_points import ARM, NOISE, joints
@@ -96,6 +99,21 @@ def test_an_instrument_may_read_before_the_machine_stands() -> None:
     assert delay is not None
     assert not delay.ahead
     assert delay.share == pytest.approx(-SHARE, abs=0.1 * SHARE)
+
+
+@pytest.mark.parametrize("seed", [61011, 61014, 61019])
+def test_columns_that_take_up_the_poses_leave_no_delay(seed: int) -> None:
+    """Steps of 14 places at four poses leave little of 30 poses, whatever corners they have."""
+    data, random = read(0, seed), np.random.default_rng(seed)
+    data = data.with_readings({c: data[c] + random.normal(0.0, 1e-3, 30) for c in "xyz"})
+    result = lc.calibrate(machine(), data, method="least-squares")
+    fit = ordered_system(result).fitted()
+    places = [n for n in fit.system.problem.names if n.split("_")[-1] in SIX]
+    columns = fit.system.columns(places)
+    for pose in (6, 11, 16, 21):
+        fit = fit.beside(columns * (np.arange(30) >= pose)[:, None, None])
+    delay = pose_delay(fit.again())
+    assert delay is None or delay.p_value > 0.01
 
 
 def test_images_far_off_the_machine_leave_the_verdict_open() -> None:

@@ -10,11 +10,12 @@ from scipy.optimize import least_squares
 
 import loopcal as lc
 from loopcal.estimation.calibrate import calibrate
+from loopcal.estimation.problem.pose_equations import Beside, PoseEquations
 from loopcal.estimation.problem.problem import Problem, build_problem
 from loopcal.statistics import causes
 from loopcal.statistics.causes import Suspect, _Guess
 from loopcal.statistics.outlier_search import Search
-from loopcal.statistics.pose_tests import Fitted, try_rows
+from loopcal.statistics.pose_tests import Fitted, _shared, try_rows
 from tests.reference.simulated import planar_arm
 
 SDS = {"xP": 1e-4, "yP": 1e-4, "phi2": 1e-3, "phi3": 1e-3}
@@ -50,6 +51,22 @@ def test_the_statistic_is_the_least_weighted_square_however_far_a_row_is_from_cl
         start = [row["phi2"], row["phi3"]]
         least = least_squares(weighted, start, args=(row,), xtol=1e-14, ftol=1e-14, gtol=1e-14)
         assert statistic == pytest.approx(2.0 * least.cost, rel=1e-6, abs=1e-6)
+
+
+def test_an_image_that_tests_nothing_of_a_column_has_no_freedom_there() -> None:
+    """Rounding leaves -1e-16 there, by which nothing may be divided."""
+    random = np.random.default_rng(61001)
+    X = random.normal(size=(2, 8, 6))
+    beside = Beside(8, np.array([8, 8]), np.zeros((2, 6)))
+    block = PoseEquations(np.arange(2), random.normal(size=(2, 8)), np.zeros((2, 8, 1)), X, beside)
+    turns = np.linalg.qr(random.normal(size=(2, 8, 8)))[0]
+    lost = np.zeros((2, 8))
+    lost[0] = 1.0  # the parameters take up all of the first image
+    along = np.einsum("brk,br->kb", X, block.E) * np.array([1e-9, 1.0])
+    chi, freedom = _shared(block, np.swapaxes(turns, 1, 2) @ X, lost, along)
+    assert freedom.tolist() == [0, 6]
+    P = X[1] @ np.linalg.solve(X[1].T @ X[1], X[1].T)
+    assert chi == pytest.approx([0.0, block.E[1] @ P @ block.E[1]])
 
 
 @pytest.mark.parametrize(("reach", "verified"), [(0.1, True), (1.2, False)])

@@ -12,7 +12,8 @@ these leave, r_i of the equations and d_i of c_i,
     sd(s)^2 = N / f sum_i (u_i - s g_i)^2 / (sum_i g_i)^2,
 
 which holds whatever the equations of one pose share (White 1980); s / sd is Student's t with
-f = N - 1 less the columns.
+f = N - 1 less the columns. All other columns of the fit count in poses: so many as they have
+numbers of the machine. An image of 100 corners says no more of its pose than those.
 """
 
 from __future__ import annotations
@@ -55,7 +56,10 @@ def _entry(fit: Fitted, along: Array, at: Array, motion: Array, ahead: bool) -> 
     """One of both delays; at, motion: (N, q) of the readings whose columns are along (N, R, q)."""
     beside = fit.beside(along * at[:, None]).beside(along * np.sign(motion)[:, None])
     u, g = beside.by_pose(np.einsum("nrq,nq->nr", along, motion)[:, :, None])
-    freedom = len(u) - 1 - 2 * at.shape[1]
+    system = fit.system
+    used = float(system.count.sum()) - fit.spare
+    numbers = np.minimum(system.equations, at.shape[1]).mean()
+    freedom = len(u) - 1 - 2 * at.shape[1] - math.ceil(used / numbers)
     if freedom < 1 or not g.sum() > 0.0:
         return None
     share = float(u.sum() / g.sum())

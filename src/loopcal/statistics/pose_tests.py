@@ -246,7 +246,9 @@ def _shared(
     mine = ~block.beside.squares.any(axis=0) & block.X.any(axis=(0, 1))
     X, aside = block.X[:, :, mine], turned[:, :, mine]
     W = np.swapaxes(X, 1, 2) @ X - np.swapaxes(aside, 1, 2) @ (lost[:, :, None] * aside)
-    unit = np.sqrt(np.maximum(np.diagonal(W, axis1=1, axis2=2), 1e-300))
+    # Where the image tests nothing of a column, rounding alone is on the diagonal.
+    least = np.maximum(UNCONTROLLED * np.square(X).sum(axis=1), 1e-300)
+    unit = np.sqrt(np.maximum(np.diagonal(W, axis1=1, axis2=2), least))
     sizes, directions = np.linalg.eigh(W / unit[:, :, None] / unit[:, None, :])
     b = np.einsum("bij,bi->bj", directions, along[mine].T / unit)
     open_ = sizes > UNCONTROLLED

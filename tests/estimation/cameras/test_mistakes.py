@@ -12,13 +12,16 @@ from scipy.spatial.transform import Rotation
 
 from loopcal.estimation.cameras.corners import Corners
 from loopcal.estimation.cameras.images import explained
+from loopcal.estimation.cameras.mistakes import MIRRORED
 from loopcal.estimation.cameras.orders import on_other_squares
 from loopcal.estimation.cameras.placing import Reading
 from loopcal.estimation.cameras.scene import Adjusted, Scene
 from loopcal.estimation.cameras.start import start
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.cameras.lens import Intrinsics
+from loopcal.workflow.beginning.later_images import _refuse_another_format
 from tests.estimation.cameras.truth import COLUMNS, ROWS, SIZE, grid_board, motion, pixel, shots
+from tests.refusals import refused
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -131,6 +134,36 @@ def test_u_and_v_exchanged() -> None:
     begun = true.start(corners=true.corners.at(true.corners.uv[:, ::-1].copy()))
     assert [fact.code for fact in begun.facts if fact.applied] == ["uv-exchanged"]
     np.testing.assert_allclose(begun.X[0], true.X, atol=4e-3)
+
+
+def test_v_that_counts_upwards() -> None:
+    true = shots(60200)
+    uv = true.corners.uv.copy()
+    uv[:, 1] = SIZE[1] - 1.0 - uv[:, 1]
+    begun = true.start(stated=False, corners=true.corners.at(uv))
+    assert [fact.code for fact in begun.facts if fact.applied] == ["v-reversed"]
+    np.testing.assert_allclose(begun.X[0], true.X, atol=4e-2)
+
+
+def test_a_mirror_of_images_of_any_size_is_left_open() -> None:
+    """Where neither lens nor size is stated, exchanged u and v explain it as well."""
+    true = shots(60201, images=16)
+    uv = true.corners.uv.copy()
+    uv[:, 1] = SIZE[1] - 1.0 - uv[:, 1]
+    for pixels, code in ((uv, MIRRORED), (true.corners.uv[:, ::-1].copy(), "uv-exchanged")):
+        begun = start(true.corners.at(pixels), true.T)
+        assert [fact.code for fact in begun.facts if fact.applied][:1] == [code]
+
+
+def test_v_that_counts_upwards_on_a_later_day_is_refused_as_that() -> None:
+    """Of images without a size it is u and v exchanged, and a lens on its side."""
+    true = shots(60203, images=16)
+    uv = true.corners.uv.copy()
+    uv[:, 1] = SIZE[1] - 1.0 - uv[:, 1]
+    lens = replace(true.intrinsics["cam"], image=None)
+    begun = start(true.corners.at(uv), true.T, {"cam": lens}, {}, true.held)
+    with refused("conflicting-keys", "mirror", "v = height - 1 - v"):
+        _refuse_another_format(begun.facts)
 
 
 @pytest.mark.parametrize("wrong", [0, 1])

@@ -20,6 +20,7 @@ from loopcal.estimation.cameras.start import way_of_turning
 from loopcal.files.cameras.boards import read_boards
 from loopcal.files.cameras.corner_table import CornerTable
 from loopcal.files.cameras.corners import read_corners
+from loopcal.files.cameras.folder import read_files
 from loopcal.files.cameras.places import read_places
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.statistics.case import nominal_machine
@@ -63,6 +64,22 @@ def fanuc(folder: Path) -> None:
     rewritten(folder / "robot.csv", turned("xyz"), head)
 
 
+def epson(folder: Path) -> None:
+    rewritten(folder / "robot.csv", turned("ZYX"), "pose,X,Y,Z,U,V,W")
+
+
+def mitsubishi(folder: Path) -> None:
+    rewritten(folder / "robot.csv", turned("xyz"), "pose,X,Y,Z,A,B,C")
+
+
+def omron(folder: Path) -> None:
+    rewritten(folder / "robot.csv", turned("ZYZ"), "pose,X,Y,Z,yaw,pitch,roll")
+
+
+def comau(folder: Path) -> None:
+    rewritten(folder / "robot.csv", turned("ZYZ"), "pose,X,Y,Z,A,E,R")
+
+
 def vectors(folder: Path) -> None:
     rewritten(folder / "robot.csv", turned(""), "pose,x_mm,y_mm,z_mm,rx,ry,rz")
 
@@ -76,7 +93,11 @@ def described_otherwise(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (kuka, "A, B, C in deg"),
+        (kuka, "A, B, C in deg, turns A, B, C, Rz Ry Rx"),
+        (epson, "U, V, W in deg, turns U, V, W, Rz Ry Rx"),
+        (mitsubishi, "A, B, C in deg, turns A, B, C about x, y and z"),
+        (omron, "yaw, pitch, roll, Rz Ry Rz"),
+        (comau, "A, E, R in deg, turns A, E, R, Rz Ry Rz"),
         (fanuc, "W, P, R, Rz Ry Rx"),
         (vectors, "rx, ry, rz in rad, a rotation vector"),
     ],
@@ -92,6 +113,25 @@ def test_turns_are_read_as_the_board_turns(
     way = way_of_turning(table.ways, corners, {"1": LENS}, {})
     assert words in way
     assert table.ways[way][:, :3, :3] == pytest.approx(T[:, :3, :3], abs=1e-6)
+
+
+def test_turns_u_v_w_are_no_pixels(tmp_path: Path) -> None:
+    T = hands(12, 5)
+    written(tmp_path, pixels(T, on="base"), T)
+    epson(tmp_path)
+    files = read_files([tmp_path])
+    assert [path.name for path in files.poses] == ["robot.csv"]
+    assert set(files.corners.image) == {str(i) for i in range(12)}
+
+
+def test_pixels_in_a_mirror_are_refused_where_several_mistakes_explain_them(
+    tmp_path: Path,
+) -> None:
+    T = hands(16, 60202)
+    written(tmp_path, pixels(T, on="base"), T)
+    rewritten(tmp_path / "corners.csv", lambda row: [*row[:-1], f"{940.0 - float(row[-1])}"])
+    with refused("conflicting-keys", "mirror", "v = height - 1 - v"):
+        lc.init(tmp_path)
 
 
 def of_table(table: CornerTable, boards: Mapping[str, Board]) -> Corners:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,17 +14,23 @@ import loopcal as lc
 from loopcal.document.accuracy import ValidationEntry
 from loopcal.mechanisms.cameras.lens import project
 from loopcal.statistics.verdict import findings_of
+from loopcal.workflow.beginning.images_project import frame_of
 from tests.mechanisms.test_camera import LENS, POINTS, hands, pixels
 from tests.refusals import refused
 
 
-def written(folder: Path, uv: np.ndarray, T: np.ndarray | None) -> Path:
+def written(
+    folder: Path,
+    uv: np.ndarray,
+    T: np.ndarray | None,
+    points: Mapping[str, tuple[float, float, float]] = POINTS,
+) -> Path:
     """A folder of a board, of corners (points, 2, N) and, where a robot holds one, its poses."""
     rows = ["board,point,x_m,y_m,z_m"]
-    rows += [f"board,{p},{x},{y},{z}" for p, (x, y, z) in POINTS.items()]
+    rows += [f"board,{p},{x},{y},{z}" for p, (x, y, z) in points.items()]
     (folder / "points.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
     rows = ["pose,camera,board,point,u_px,v_px"]
-    for point, (u, v) in zip(POINTS, uv, strict=True):
+    for point, (u, v) in zip(points, uv, strict=True):
         rows += [
             f"{i},1,board,{point},{a:.5f},{b:.5f}"
             for i, (a, b) in enumerate(zip(u, v, strict=True))
@@ -64,6 +71,36 @@ def test_a_folder_becomes_a_project_that_finds_the_lens(tmp_path: Path, robot: b
     for tolerance, robot_code in ((10e-3, "within-tolerance"), (1e-5, "outside-tolerance")):
         codes = [one.code for one in findings_of(replace(document, validation=held), tolerance)]
         assert (robot_code if robot else "unknown-accuracy") in codes
+
+
+@pytest.mark.parametrize("sized", [False, True])
+def test_points_of_a_body_are_told_from_its_place(sized: bool) -> None:
+    """No small motion of the body, nor where `sized` a growth, leaves what is held at rest."""
+    for seed in range(60210, 60220):
+        random = np.random.default_rng(seed)
+        xyz = random.uniform(-0.2, 0.2, (9, 3))
+        seen = np.full(9, 30)
+        seen[3] = 4
+        held = frame_of(xyz, seen, sized=sized)
+        assert len(held) == 6 + sized
+        assert 3 not in {point for point, _ in held}
+        motions = [np.tile(t, (9, 1)) for t in np.eye(3)]
+        motions += [np.cross(w, xyz) for w in np.eye(3)] + [xyz] * sized
+        moved = np.array([[motion[at] for motion in motions] for at in held])
+        assert np.linalg.cond(moved) < 1e3
+
+
+def test_points_of_a_body_are_determined_without_priors(tmp_path: Path) -> None:
+    """Least squares has none: where the body stands and where its points are on it move alike."""
+    random = np.random.default_rng(60221)
+    xyz = random.uniform([0.0, 0.0, 0.0], [0.2, 0.2, 0.08], (10, 3))
+    points = {f"P{i}": (float(x), float(y), float(z)) for i, (x, y, z) in enumerate(xyz)}
+    T = hands(24, 60221)
+    uv = pixels(T, on="base", points=points)
+    written(tmp_path, uv + random.normal(0.0, 0.1, uv.shape), T, points)
+    project = lc.init(tmp_path)
+    result = lc.calibrate(project.mechanism, project.dataset, method="least-squares")
+    assert not result.document.identifiability.loose
 
 
 def test_corners_without_a_board_are_refused(tmp_path: Path) -> None:

@@ -40,6 +40,10 @@ from loopcal.presentation.shown import significant
 
 RESIZED, TURNED = "intrinsics-of-another-size", "intrinsics-turned"
 """Facts of images that are not in the format that the intrinsics are of."""
+MIRRORS = ("uv-exchanged", "u-reversed", "v-reversed")
+"""Facts of pixels in a mirror."""
+MIRRORED = "pixels-mirrored"
+"""Fact of pixels that several mistakes explain alike, with different places of the camera."""
 CLEAR = 0.6
 """Twenty images of two residuals each: log likelihood ratio 40 ln(1 / 0.6) = 20."""
 THINNED = (60, 12)
@@ -430,13 +434,18 @@ def _resized_boards(reading: Reading, factor: float) -> Reading:
 
 
 def _unmirrored(reading: Reading, facts: list[Fact]) -> tuple[Reading, list[Fact]]:
-    """u and v exchanged, or u reversed, whichever the lens and the image's size allow."""
+    """u and v exchanged, or one reversed, whichever the lens and the image's size allow."""
     choices = [
         ("uv-exchanged", "Columns u and v are exchanged. Correct them.", _exchanged(reading))
     ]
-    if all(lens.image is not None for lens in reading.lenses):
-        sentence = "Images are mirrored: u runs from right to left. Correct the column."
-        choices.append(("u-reversed", sentence, _reversed(reading)))
+    sized = all(lens.image is not None for lens in reading.lenses)
+    if sized:
+        upwards = "v counts upwards, from the bottom of the image, as if it were mirrored."
+        sideways = "Images are mirrored: u runs from right to left."
+        choices += [
+            ("v-reversed", f"{upwards} Correct the column.", _reversed(reading, 1)),
+            ("u-reversed", f"{sideways} Correct the column.", _reversed(reading, 0)),
+        ]
     choices += [
         (one.code, one.sentence, other)
         for one in _exchanged_cameras(reading.corners.cameras)
@@ -444,11 +453,20 @@ def _unmirrored(reading: Reading, facts: list[Fact]) -> tuple[Reading, list[Fact
     ]
     measured = [(misfit(other), i) for i, (_, _, other) in enumerate(choices)]
     px, i = min(measured)
-    if choices[i][0] == "u-reversed" and px > CLEAR * measured[0][0] and _inside(choices[0][2]):
+    reverses = choices[i][0] in MIRRORS[1:]
+    if reverses and px > CLEAR * measured[0][0] and _inside(choices[0][2]):
         i = 0
     code, sentence, other = choices[i]
+    if i == 0 and not reading.stated and not sized and _wide(reading):
+        code = MIRRORED
     fact = Fact(code, sentence, {"px_after": px}, applied=True)
     return other, [*facts, fact]
+
+
+def _wide(reading: Reading) -> bool:
+    """Whether corners as they stand reach farther in u than in v, as in images that lie: with u and
+    v exchanged these would stand."""
+    return bool(np.greater(*reading.corners.uv.max(axis=0)))
 
 
 def _exchanged(reading: Reading, camera: int | None = None) -> Reading:
@@ -465,10 +483,10 @@ def _exchanged(reading: Reading, camera: int | None = None) -> Reading:
     return replace(reading, corners=corners.at(uv), lenses=lenses)
 
 
-def _reversed(reading: Reading) -> Reading:
+def _reversed(reading: Reading, axis: int) -> Reading:
     uv = reading.corners.uv.copy()
-    width = np.array([(lens.image or (0, 0))[0] for lens in reading.lenses], dtype=float)
-    uv[:, 0] = width[reading.corners.camera] - 1.0 - uv[:, 0]
+    size = np.array([(lens.image or (0, 0))[axis] for lens in reading.lenses], dtype=float)
+    uv[:, axis] = size[reading.corners.camera] - 1.0 - uv[:, axis]
     return replace(reading, corners=reading.corners.at(uv))
 
 

@@ -80,9 +80,12 @@ def corners_of(table: Table, spoken: Mapping[str, str]) -> CornerTable:
 def is_corners(names: Sequence[str]) -> bool:
     """Whether these names of columns are those of a table of corners.
 
-    Columns u and v are; x and y alone, which may be any point, are so beside a column of corners.
+    Columns u and v are, but for turns u, v, w beside x, y, z; x and y alone, which may be any
+    point, are so beside a column of corners.
     """
     stems = [pixel_stem(name) for name in names]
+    if {*"xyzuvw"} <= {*stems}:
+        return False
     if {"u", "v"} <= {*stems} or len(_wide_columns(stems)) > 1:
         return True
     has_pixels = None not in (_column("u", stems), _column("v", stems))

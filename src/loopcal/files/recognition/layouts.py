@@ -28,7 +28,10 @@ from loopcal.files.recognition.joint_sets import (
 _LENGTH_WORDS = frozenset(words("columns", "length"))
 _POLAR = [words("columns", name) for name in ("range", "azimuth", "elevation")]
 _TURN_WORDS = frozenset(words("columns", "turn"))
-_TURNS = (("a", "b", "c"), ("w", "p", "r"), ("roll", "pitch", "yaw"), ("o", "a", "t"))
+_TURNS = (
+    *(("a", "b", "c"), ("w", "p", "r"), ("roll", "pitch", "yaw"), ("o", "a", "t")),
+    *(("u", "v", "w"), ("a", "e", "r")),
+)
 _UNMEASURED = frozenset(words("columns", "unmeasured"))
 _COORDINATES = frozenset(words("columns", "coordinate"))
 _NO_PLACES = _UNMEASURED.union(words("columns", "temperature"), words("columns", "payload"))

@@ -50,11 +50,20 @@ _POLAR_FORMS = (
     ("zenith clockwise", ", the first counted clockwise, the last from the zenith"),
 )
 _FORMS_BY_NAME: dict[tuple[str, ...], tuple[tuple[str, str, tuple[int, int, int]], ...]] = {
-    ("a", "b", "c"): (("turns A, B, C, Rz Ry Rx", "rz ry rx", (0, 1, 2)),),
+    ("a", "b", "c"): (
+        ("turns A, B, C, Rz Ry Rx", "rz ry rx", (0, 1, 2)),
+        ("turns A, B, C about x, y and z, Rz Ry Rx", "rz ry rx", (2, 1, 0)),
+    ),
     ("w", "p", "r"): (("turns W, P, R, Rz Ry Rx", "rz ry rx", (2, 1, 0)),),
-    ("roll", "pitch", "yaw"): (("roll, pitch, yaw, Rz Ry Rx", "rz ry rx", (2, 1, 0)),),
+    ("roll", "pitch", "yaw"): (
+        ("roll, pitch, yaw, Rz Ry Rx", "rz ry rx", (2, 1, 0)),
+        ("yaw, pitch, roll, Rz Ry Rz", "rz ry rz", (2, 1, 0)),
+    ),
     ("o", "a", "t"): (("turns O, A, T, Rz Ry Rz", "rz ry rz", (0, 1, 2)),),
+    ("u", "v", "w"): (("turns U, V, W, Rz Ry Rx", "rz ry rx", (0, 1, 2)),),
+    ("a", "e", "r"): (("turns A, E, R, Rz Ry Rz", "rz ry rz", (0, 1, 2)),),
 }
+"""By the letters under which makers of robots write three turns, what these may mean."""
 
 
 @dataclass(frozen=True, eq=False)

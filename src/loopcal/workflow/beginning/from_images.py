@@ -13,6 +13,7 @@ import numpy as np
 from loopcal.arrays import Array
 from loopcal.errors import InputError, listed
 from loopcal.estimation.cameras.corners import Corners
+from loopcal.estimation.cameras.mistakes import MIRRORED
 from loopcal.estimation.cameras.parts import in_parts
 from loopcal.estimation.cameras.start import (
     CameraStart,
@@ -223,6 +224,15 @@ def understood(
         return in_parts(corners, hand.T_base_flange, run)
 
     begun = begin(lenses)
+    if any(fact.code == MIRRORED for fact in begun.facts):
+        raise InputError(
+            "corners fit as in a mirror only: v counts upwards from the bottom of the image, or u "
+            "and v are exchanged, and no file states the lens or the size of the images",
+            code="conflicting-keys",
+            place=table.file,
+            remedy="write the pixels of OpenCV: u to the right, v downwards from the top "
+            "(v = height - 1 - v). Or state the lens with the size of the images",
+        )
     if turned and any(fact.code == "u-reversed" for fact in begun.facts):
         # An image on its side that is a mirror besides is one whose u and v are exchanged.
         lenses, turned = stated, ()

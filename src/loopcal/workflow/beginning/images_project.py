@@ -207,8 +207,9 @@ class ImagesProject:
                 Y = rigid(np.eye(3), Y[:3, 3])
             seer = self._seen_by.get(b, 0)
             place = np.linalg.inv(Y) if self.on_body[seer] else Y
-            held = corners.cameras[seer] not in begun.on_flange
-            placed = six_of(self.boards[board.name], place, free and b == 0, near if held else None)
+            carried = corners.cameras[seer] not in begun.on_flange
+            mounted = near if carried else None
+            placed = six_of(self.boards[board.name], place, free and b == 0, mounted)
             for turn in SIX[3:] if alone else ():
                 placed[f"{self.boards[board.name]}_{turn}"] = {"value": 0.0, "unit": "deg", **FIXED}
             stated |= placed
@@ -216,10 +217,13 @@ class ImagesProject:
                 # nothing but the board says how large anything is
                 stated[f"{self.boards[board.name]}_scale"] = {"value": 0.0, **FIXED}
             if not board.planar:
-                for point in np.unique(corners.point[corners.board == b]):
-                    for axis in "xyz":
+                seen = corners.point[corners.board == b]
+                held = frame_of(board.xyz, np.bincount(seen), sized=free)
+                for point in np.unique(seen):
+                    for k, axis in enumerate("xyz"):
                         name = f"{self.boards[board.name]}_{list(board.points)[point]}_{axis}"
-                        stated[name] = {"value": 0.0, "unit": "mm", "sd": 1e3 * POINT_SD}
+                        how = FIXED if (int(point), k) in held else {"sd": 1e3 * POINT_SD}
+                        stated[name] = {"value": 0.0, "unit": "mm", **how}
         return stated
 
     def _noise(self) -> dict[str, Any]:
@@ -296,6 +300,30 @@ class ImagesProject:
             "v": corners.uv[rows, 1],
         }
         return table_bytes(columns, ".csv")
+
+
+def frame_of(xyz: Array, seen: NDArray[np.intp], *, sized: bool) -> set[tuple[int, int]]:
+    """Coordinates (point, axis) by which the frame of a body is held, of points (n, 3).
+
+    All of a point, two of the one farthest from it, and one of the point farthest from both: six,
+    as the place of the body has. Points that move alike could not be told from it. seen: (up to n,)
+    how often each is seen; sized: a third one of the second, where nothing else says how large the
+    body is.
+    """
+    often = np.flatnonzero(seen >= 0.5 * seen.max(initial=1))
+    P = xyz[often] - xyz[often].mean(axis=0)
+    a = int(np.argmax(np.linalg.norm(P, axis=1)))
+    along = P - P[a]
+    b = int(np.argmax(np.linalg.norm(along, axis=1)))
+    normals = np.cross(along[b], along)
+    c = int(np.argmax(np.linalg.norm(normals, axis=1)))
+    longest, across = (int(np.argmax(np.abs(v))) for v in (along[b], normals[c]))
+    held = {(a, axis) for axis in range(3)}
+    if along[b].any():
+        held |= {(b, axis) for axis in range(3) if sized or axis != longest}
+    if normals[c].any():
+        held.add((c, across))
+    return {(int(often[i]), axis) for i, axis in held}
 
 
 def six_of(

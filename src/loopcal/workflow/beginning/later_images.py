@@ -12,7 +12,7 @@ import numpy as np
 
 from loopcal.errors import InputError, listed
 from loopcal.estimation.cameras.facts import Fact
-from loopcal.estimation.cameras.mistakes import RESIZED, TURNED
+from loopcal.estimation.cameras.mistakes import MIRRORS, RESIZED, TURNED
 from loopcal.files.cameras.folder import files_of, read_files
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.machines.mechanism_writer import mechanism_table
@@ -64,7 +64,9 @@ def later_images(
 
 def _refuse_another_format(facts: Sequence[Fact]) -> None:
     """Raise InputError for images that were resized or turned since the calibration: no camera
-    changes so, and its learnt lens would be taken for a machine that did."""
+    changes so, and its learnt lens would be taken for a machine that did. A mirror on its side is
+    one of u or v alone."""
+    mirrored = any(fact.code in MIRRORS for fact in facts)
     for fact in facts:
         if fact.code == RESIZED:
             factor = float(fact.values["factor"])
@@ -73,6 +75,14 @@ def _refuse_another_format(facts: Sequence[Fact]) -> None:
                 code="conflicting-keys",
                 remedy="use images of the size of the calibration's, or corners in its pixels: "
                 f"u = (u + 0.5) / {factor:.4g} - 0.5, and v likewise",
+            )
+        if mirrored and fact.code == TURNED:
+            raise InputError(
+                "corners fit the lens of the calibration as in a mirror only: v counts upwards "
+                "from the bottom of the image, or u from right to left",
+                code="conflicting-keys",
+                remedy="write pixels as on the day of the calibration, v downwards from the top: "
+                "v = height - 1 - v",
             )
         if fact.code == TURNED:
             raise InputError(
