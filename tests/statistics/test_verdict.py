@@ -48,6 +48,7 @@ from loopcal.document.result_document import UPDATED, CoarseReadings, ResultDocu
 from loopcal.document.verdict import UNASKED, Fact, Figure, Finding, Named, Row, Where
 from loopcal.mechanisms.limits import joint_limits
 from loopcal.mechanisms.parameters import Role, labels_of
+from loopcal.mechanisms.structure.structured import GRAVITY_TILT
 from loopcal.presentation.shown import WIDTH
 from loopcal.statistics.judged_machine import off_the_drawing
 from loopcal.statistics.predictor import predictor
@@ -603,6 +604,26 @@ def test_what_changed_along_the_run_is_not_off_the_drawing() -> None:
     assert verdict_of(off).sound.code == "prior-tension"
     said = verdict_of(replace(off, change_points=ChangePoints((point,), 0.01, 40))).sound
     assert (said.code, said.passed) == ("changes-modelled", None)
+
+
+def test_an_arm_on_a_wall_is_told_to_state_gravity() -> None:
+    """It was "gravity_tilt_1 is -60.8 deg off its nominal value: check units, signs"."""
+    document = clean()
+    first = next(p for p in document.parameters if not p.fixed)
+    tilts = [
+        replace(first, name=name, unit="rad", nominal=0.0, value=a, prior_sd=prior, meaning=meaning)
+        for name, a, prior, meaning in (
+            ("gravity_tilt_1", -1.06, math.radians(5), GRAVITY_TILT),
+            ("gravity_tilt_2", 0.03, math.radians(5), GRAVITY_TILT),
+        )
+    ]
+    found = verdict_of(replace(document, parameters=(*document.parameters, *tilts))).sound
+    assert (found.code, found.passed) == ("gravity-elsewhere", False)
+    assert "61 deg" in found.words
+    assert "gravity = [" in (found.next or "")
+    upright = [replace(tilt, value=0.1 * tilt.value) for tilt in tilts]
+    found = verdict_of(replace(document, parameters=(*document.parameters, *upright))).sound
+    assert found.passed is not False
 
 
 def test_a_hundred_prior_sds_are_too_far_for_every_method() -> None:
