@@ -645,6 +645,17 @@ def with_lengths(document: ResultDocument, *off: float) -> ResultDocument:
     return replace(document, parameters=tuple(own), terms=(term,))
 
 
+def test_shifts_of_axes_have_no_drawn_size() -> None:
+    """Of a product of exponentials 2 mm were "the drawing of another machine"."""
+    document = with_lengths(clean(), 2e-3, -1e-3, 3e-3, -2e-3, 1e-3)
+    shifts = [replace(p, nominal=0.0, value=p.value - 1.0) for p in document.parameters]
+    assert off_the_drawing(replace(document, parameters=tuple(shifts))) is None
+    far = [replace(p, value=300.0 * p.value) for p in shifts]
+    found = off_the_drawing(replace(document, parameters=tuple(far)))
+    assert found is not None
+    assert found.code == "another-drawing"
+
+
 def flat(document: ResultDocument) -> ResultDocument:
     """As a method without priors has it."""
     own = tuple(replace(p, prior_sd=None) for p in document.parameters)

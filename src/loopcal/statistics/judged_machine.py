@@ -147,7 +147,8 @@ def _all_off(document: ResultDocument, dimensions: Sequence[list[ParameterEntry]
     for alike in dimensions:
         role, unit = alike[0].role, alike[0].unit
         drawn = [p.nominal for p in document.parameters if p.dimension == "length"]
-        size = _rms(drawn) if unit == "m" else 1.0
+        # Axes of a product of exponentials have shifts, which are all 0 in the drawing.
+        size = (_rms(drawn) or _farthest(document)) if unit == "m" else 1.0
         off, sure = _rms([_off(p) for p in alike]), _rms([p.sd or 0.0 for p in alike])
         if len(alike) > _FEWEST and off > max(ANOTHER * size, _CLEAR * sure):
             numbers = {"difference": Figure(off, unit)}
