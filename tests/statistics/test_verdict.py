@@ -48,6 +48,7 @@ from loopcal.document.result_document import UPDATED, CoarseReadings, ResultDocu
 from loopcal.document.verdict import UNASKED, Fact, Figure, Finding, Named, Row, Where
 from loopcal.mechanisms.limits import joint_limits
 from loopcal.mechanisms.parameters import Role, labels_of
+from loopcal.mechanisms.structure.structured import GRAVITY_TILT
 from loopcal.presentation.shown import WIDTH
 from loopcal.statistics.judged_machine import off_the_drawing
 from loopcal.statistics.predictor import predictor
@@ -605,6 +606,26 @@ def test_what_changed_along_the_run_is_not_off_the_drawing() -> None:
     assert (said.code, said.passed) == ("changes-modelled", None)
 
 
+def test_an_arm_on_a_wall_is_told_to_state_gravity() -> None:
+    """It was "gravity_tilt_1 is -60.8 deg off its nominal value: check units, signs"."""
+    document = clean()
+    first = next(p for p in document.parameters if not p.fixed)
+    tilts = [
+        replace(first, name=name, unit="rad", nominal=0.0, value=a, prior_sd=prior, meaning=meaning)
+        for name, a, prior, meaning in (
+            ("gravity_tilt_1", -1.06, math.radians(5), GRAVITY_TILT),
+            ("gravity_tilt_2", 0.03, math.radians(5), GRAVITY_TILT),
+        )
+    ]
+    found = verdict_of(replace(document, parameters=(*document.parameters, *tilts))).sound
+    assert (found.code, found.passed) == ("gravity-elsewhere", False)
+    assert "61 deg" in found.words
+    assert "gravity = [" in (found.next or "")
+    upright = [replace(tilt, value=0.1 * tilt.value) for tilt in tilts]
+    found = verdict_of(replace(document, parameters=(*document.parameters, *upright))).sound
+    assert found.passed is not False
+
+
 def test_a_hundred_prior_sds_are_too_far_for_every_method() -> None:
     document = clean()
     first = next(p for p in document.parameters if not p.fixed)
@@ -622,6 +643,17 @@ def with_lengths(document: ResultDocument, *off: float) -> ResultDocument:
     own = [replace(first, name=f"a_{i}", nominal=1.0, value=1.0 + d) for i, d in enumerate(off, 1)]
     term = replace(SAG, name="lengths", unit="m", columns=len(own))
     return replace(document, parameters=tuple(own), terms=(term,))
+
+
+def test_shifts_of_axes_have_no_drawn_size() -> None:
+    """Of a product of exponentials 2 mm were "the drawing of another machine"."""
+    document = with_lengths(clean(), 2e-3, -1e-3, 3e-3, -2e-3, 1e-3)
+    shifts = [replace(p, nominal=0.0, value=p.value - 1.0) for p in document.parameters]
+    assert off_the_drawing(replace(document, parameters=tuple(shifts))) is None
+    far = [replace(p, value=300.0 * p.value) for p in shifts]
+    found = off_the_drawing(replace(document, parameters=tuple(far)))
+    assert found is not None
+    assert found.code == "another-drawing"
 
 
 def flat(document: ResultDocument) -> ResultDocument:

@@ -18,6 +18,7 @@ from loopcal.document.of_images import (
     SCALE_BY_ONE,
     SHARED_ERRORS,
 )
+from loopcal.document.off_the_drawing import OFF_THE_DRAWING
 from loopcal.document.verdict import SEVERITIES, Fact, Finding, Named, Row
 
 _AGAIN, _CHECK = "loopcal calibrate {project}", "loopcal check {project}"
@@ -61,27 +62,7 @@ _ROWS = (
         _CHECK,
         detail="{message}",
     ),
-    _not_sound(
-        "far-from-nominal",
-        "{place.parameters} ended {off} away from its nominal value, {nominal}: no machine is so "
-        "far from its drawing.",
-        "Check units and columns. State priors from the drawing, or measure other poses.",
-        _CHECK,
-    ),
-    _not_sound(
-        "lengths-shrank",
-        "The estimated lengths shrank to {share:2} of the nominal ones.",
-        "Check units and columns. State priors from the drawing, or measure other poses.",
-        _CHECK,
-        shared="far-from-nominal",
-    ),
-    _not_sound(
-        "prior-tension",
-        "{place.parameters} is {off} off its nominal value, which was known to {prior_sd} "
-        "({sds:2} sds).",
-        "Check units, signs and joint directions of the columns, and the drawing.",
-        _CHECK,
-    ),
+    *OFF_THE_DRAWING,
     *OF_IMAGES,
     _not_sound(
         "change-points",

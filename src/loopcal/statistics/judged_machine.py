@@ -14,7 +14,7 @@ from loopcal.document.result_document import ResultDocument
 from loopcal.document.verdict import Fact, Figure, Where, fact
 from loopcal.mechanisms.chain import product
 from loopcal.mechanisms.station import Station
-from loopcal.mechanisms.structure.structured import GEOMETRY_TERMS, MOUNTED
+from loopcal.mechanisms.structure.structured import GEOMETRY_TERMS, GRAVITY_TILT, MOUNTED
 from loopcal.presentation.shown import with_unit
 from loopcal.small_samples import f_limit
 from loopcal.statistics.judged_readings import RARE
@@ -53,7 +53,14 @@ def prior_tension(document: ResultDocument) -> Fact | None:
     # Two-sided normal tail of the worst of several (Bonferroni).
     if len(estimated) * math.erfc(z / math.sqrt(2.0)) >= RARE:
         return None
-    off, prior_sd = with_unit(p.value - p.nominal, p.unit), with_unit(p.prior_sd, p.unit)
+    prior_sd = with_unit(p.prior_sd, p.unit)
+    if p.meaning == GRAVITY_TILT:
+        tilts = [one for one in estimated if one.meaning == GRAVITY_TILT]
+        # cos a cos b is the cosine of the angle to the nominal direction (`Direction`).
+        turn = math.acos(math.prod(math.cos(one.value) for one in tilts))
+        off = with_unit(turn, p.unit, 2)
+        return fact("gravity-elsewhere", _of(*tilts), {"sds": z}, off=off, usual=prior_sd)
+    off = with_unit(p.value - p.nominal, p.unit)
     return fact("prior-tension", _of(p), {"sds": z}, off=off, prior_sd=prior_sd)
 
 
@@ -140,7 +147,8 @@ def _all_off(document: ResultDocument, dimensions: Sequence[list[ParameterEntry]
     for alike in dimensions:
         role, unit = alike[0].role, alike[0].unit
         drawn = [p.nominal for p in document.parameters if p.dimension == "length"]
-        size = _rms(drawn) if unit == "m" else 1.0
+        # Axes of a product of exponentials have shifts, which are all 0 in the drawing.
+        size = (_rms(drawn) or _farthest(document)) if unit == "m" else 1.0
         off, sure = _rms([_off(p) for p in alike]), _rms([p.sd or 0.0 for p in alike])
         if len(alike) > _FEWEST and off > max(ANOTHER * size, _CLEAR * sure):
             numbers = {"difference": Figure(off, unit)}

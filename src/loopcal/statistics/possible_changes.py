@@ -64,6 +64,10 @@ EXPANSION = "the scale of the machine"
 # Where each mass of a simulated arm was stated with an sd of 20 %, loads were off by 13 %.
 _MASSES = 0.15
 """Relative sd of a load, which is weighed against the masses that are stated."""
+# Chosen, not derived: as of what a fit takes up (`ordered_system`).
+_CANCELLED = 1e-4
+"""Share of the squares of its names that a part must leave. Where angles alone are read, f(s l) =
+s f(l) of all lengths l: the column of their scale is the misclosure itself, and explains it all."""
 # Chosen, not derived: arms carry a few times what they were calibrated with.
 HEAVY = 3.0
 """Another load, in units of the learnt sag."""
@@ -117,9 +121,11 @@ class Possible:
         each = of(self.names)
         if not self.parts:
             return each
-        return np.asarray(
-            each @ np.array([[d.get(n, 0.0) for d in self.directions] for n in self.names])
-        )
+        shares = np.array([[d.get(n, 0.0) for d in self.directions] for n in self.names])
+        rows = tuple(range(each.ndim - 1))
+        whole, all_parts = each @ shares, np.square(each).sum(axis=rows) @ np.square(shares)
+        seen = np.square(whole).sum(axis=rows) > _CANCELLED * all_parts
+        return np.asarray(np.where(seen, whole, 0.0))
 
     @property
     def loaded(self) -> tuple[str, ...]:

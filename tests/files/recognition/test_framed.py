@@ -54,6 +54,20 @@ def test_what_stands_below_is_said(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize("delimiter", [",", ";"])
+def test_a_header_that_stands_again_among_the_readings_is_left_out(
+    tmp_path: Path, delimiter: str
+) -> None:
+    """As of logs that were written one behind another: "'a' is not a number"."""
+    lines = ["n,a,b,c,note", *(f"{row},ok" for row in ROWS.splitlines())]
+    text = "\n".join([*lines[:3], lines[0], *lines[3:]]).replace(",", delimiter)
+    (tmp_path / "a.csv").write_text(text)
+    table, words = framed_table(tmp_path / "a.csv", None, 2)
+    assert table.numbers(1, np.arange(4)).tolist() == [0.5, 1.5, 2.5, 2.0]
+    assert table.rows.tolist() == [2, 3, 5, 6]
+    assert words == "Row 4 of a.csv repeats the header: left out."
+
+
 def test_a_row_of_another_width_between_readings_is_refused(tmp_path: Path) -> None:
     lines = ROWS.splitlines()
     text = "\n".join(["n,a,b,c", *lines[:2], "3,2.5,5.5", *lines[2:]])

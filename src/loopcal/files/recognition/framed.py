@@ -26,6 +26,7 @@ from loopcal.files.tables.raw import Text, read_text
 from loopcal.files.tables.readers import read_table
 from loopcal.files.tables.registry import TEXT, reader_of
 from loopcal.files.tables.table import Table
+from loopcal.presentation.shown import enumerated
 
 _MOST, _FEWEST = 6, 3
 """Rows of a header at most, and rows of readings that a table among other lines has at least."""
@@ -78,15 +79,36 @@ def framed_table(path: Path, part: str | int | None, fewest: int) -> tuple[Table
         if among_lines is None:
             raise
         return among_lines
+    table, again = _without_headers(table)
     table, remark = with_units_in_names(table)
-    if remark:
-        return table, remark
+    if remark or again:
+        return table, f"{again} {remark}".strip()
     if not _suspect(table):
         return table, ""
     if reader_of(path) is TEXT:
         text = _searched(path)
         return (text and _in_text(text, fewest)) or (table, "")
     return _in_cells(table, fewest)
+
+
+def _without_headers(table: Table) -> tuple[Table, str]:
+    """The table without rows that repeat its header, and what to say of them, "" for none."""
+    if not any(table.names) or any(not isinstance(cells, list) for cells in table.columns.values()):
+        return table, ""
+    named = [(name.strip(), table.columns[i]) for i, name in enumerate(table.names) if name]
+    again = [
+        k
+        for k in range(len(table.rows))
+        if all(str(cells[k] or "").strip() == name for name, cells in named)
+    ]
+    if not again:
+        return table, ""
+    left = np.delete(np.arange(len(table.rows)), again)
+    columns = {i: [cells[int(k)] for k in left] for i, cells in table.columns.items()}
+    rows = enumerated([str(table.rows[k]) for k in again])
+    many = "Row" if len(again) == 1 else "Rows"
+    words = f"{many} {rows} of {table.name} repeat{'s' * (len(again) == 1)} the header: left out."
+    return replace(table, columns=columns, rows=table.rows[left]), words
 
 
 def _suspect(table: Table) -> bool:

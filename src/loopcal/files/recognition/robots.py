@@ -35,6 +35,8 @@ Chosen, not derived: machines of one type differ by more than the parts of one d
 # Chosen, not derived: what fits two lines.
 _SHOWN = 8
 """Guesses that a remark names."""
+CONVENTIONS = {"dh": "classical", "mdh": "modified"}
+"""The conventions of Denavit and Hartenberg by the form of a joint."""
 _PARALLEL = 1e-3
 """Axes that meet at a smaller angle [rad] are parallel for Denavit and Hartenberg."""
 
@@ -45,8 +47,9 @@ class Robot:
     of them, empty where the columns name them; remarks: what was chosen, and why; point: the
     parameters of the one point that its type measures by itself; apart: the same machine for other
     instruments, where it has such a point; lengths: nominal values [m] beside the table; otherwise:
-    the machine of the same file in the other convention, where the file states none; unread: what
-    no sensor of a parallel machine reads."""
+    the machine of the same numbers in the other convention of Denavit and Hartenberg; convention:
+    that of the file, "" where it states none; unread: what no sensor of a parallel machine
+    reads."""
 
     table: Mapping[str, Any]
     joints: int
@@ -56,6 +59,7 @@ class Robot:
     apart: Robot | None = None
     lengths: Mapping[str, float] = field(default_factory=dict)
     otherwise: Robot | None = None
+    convention: str = ""
     unread: tuple[str, ...] = ()
 
 
@@ -202,10 +206,9 @@ def dh_robot(path: Path, fields: Sequence[Field], signs: Sequence[int] = ()) -> 
         turned = [row if row.kind == "fixed" else row.turned(next(each)) for row in table.rows]
         table = replace(table, rows=tuple(turned))
     robot = _of_table(path, table, fields)
-    if table.stated:
-        return robot
-    other = _of_table(path, replace(table, modified=True), fields)
-    return replace(robot, otherwise=other)
+    other = _of_table(path, replace(table, modified=not table.modified), fields)
+    convention = CONVENTIONS["mdh" if table.modified else "dh"] if table.stated else ""
+    return replace(robot, otherwise=other, convention=convention)
 
 
 def _of_table(path: Path, table: DhTable, fields: Sequence[Field]) -> Robot:
@@ -306,9 +309,8 @@ def typed_robot(named: str) -> Robot:
     a plane, and for a file that names other files.
     """
     from loopcal.files.machines.mechanism_file import mechanism_from_data
-    from loopcal.files.machines.registry import machine_type
 
-    table = _table_of(named) if named.endswith(".toml") else {"type": named}
+    table: dict[str, Any] = _table_of(named) if named.endswith(".toml") else {"type": named}
     kind = table.get("type", "")
     try:
         mechanism = mechanism_from_data(table, "--machine")
@@ -323,8 +325,24 @@ def typed_robot(named: str) -> Robot:
         ) from None
     if not mechanism.chain:
         return _closed(table, mechanism)
+    robot = _of_chain(table, mechanism)
+    rows: list[dict[str, Any]] = table.get("joint", [])
+    forms = {row.get("form", "dh") for row in rows}
+    if kind != "serial" or len(forms) != 1 or not forms <= CONVENTIONS.keys():
+        return robot
+    (form,) = forms
+    (other,) = CONVENTIONS.keys() - forms
+    turned = {**table, "joint": [{**row, "form": other} for row in rows]}
+    otherwise = _of_chain(turned, mechanism_from_data(turned, "--machine"))
+    return replace(robot, otherwise=otherwise, convention=CONVENTIONS[form])
+
+
+def _of_chain(table: Mapping[str, Any], mechanism: Mechanism) -> Robot:
+    """A machine of joints one behind another."""
+    from loopcal.files.machines.registry import machine_type
+
     driven = tuple(mechanism.joints)
-    row = machine_type(kind)
+    row = machine_type(table["type"])
     if row.joints is None:
         return Robot(table, len(driven), driven)
     point = tool_names(row.joints())

@@ -23,12 +23,11 @@ from loopcal.files.cameras.folder import are_images, files_of, tables_of
 from loopcal.files.machines.trees import tree_table
 from loopcal.files.outputs import carried_over, one_command, refuse_foreign, relative, sealed
 from loopcal.files.project.project_file import Project, read_project
-from loopcal.files.recognition.conditions import Conditions, apart
 from loopcal.files.recognition.converting import dataset_of
 from loopcal.files.recognition.fields import Field, Source
 from loopcal.files.recognition.joins import Fields, joined
 from loopcal.files.recognition.joint_sets import joint_columns, turned_columns
-from loopcal.files.recognition.layouts import Layout, layouts, with_points_for_turns
+from loopcal.files.recognition.layouts import Layout, layouts
 from loopcal.files.recognition.logs import at_rest
 from loopcal.files.recognition.robots import (
     Robot,
@@ -41,14 +40,13 @@ from loopcal.files.recognition.robots import (
 from loopcal.files.recognition.rows import observations
 from loopcal.files.recognition.sources import refuse_unknown, sources_of_all
 from loopcal.files.tables.writer import table_bytes
-from loopcal.measurements.checks import check_dataset, refuse_lost
+from loopcal.measurements.checks import check_dataset
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
-from loopcal.mechanisms.masses import in_space
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import measured_points
 from loopcal.presentation.shown import columns as in_columns
-from loopcal.presentation.shown import significant, unit_shown, with_unit
+from loopcal.presentation.shown import unit_shown, with_unit
 from loopcal.units import from_si
 from loopcal.workflow.beginning.aligning import aligned
 from loopcal.workflow.beginning.begun import PROJECT, READINGS, Begun, before_readings
@@ -61,6 +59,7 @@ from loopcal.workflow.beginning.images_project import CORNERS
 from loopcal.workflow.beginning.misfits import left_out
 from loopcal.workflow.beginning.misplaced_rows import held_readings
 from loopcal.workflow.beginning.ratios import misstated
+from loopcal.workflow.beginning.readable import in_the_better_convention, readable
 from loopcal.workflow.beginning.robot_file import (
     InitOptions,
     RobotFile,
@@ -69,15 +68,11 @@ from loopcal.workflow.beginning.robot_file import (
     used,
 )
 from loopcal.workflow.beginning.searching import (
-    CLEARLY,
     PLAUSIBLE,
     Machine,
-    Understood,
-    every_way,
     machine_of,
 )
 from loopcal.workflow.beginning.stating import First, Statement, stated
-from loopcal.workflow.beginning.understanding import USUAL as NEAR_ENOUGH
 from loopcal.workflow.beginning.understanding import Ask, understood
 from loopcal.workflow.beginning.weakest import left_open
 
@@ -300,14 +295,10 @@ def initial_project(
     fields = used(every, robot)
     columns, signs = _joints(fields, robot)
     made = _robot(robot, replace(fields, fields=columns or fields.fields), folder, signs)
-    one = _readable(made, fields, columns, folder)
-    if made.otherwise is not None and not one.share <= NEAR_ENOUGH:
-        other = _readable(made.otherwise, fields, columns, folder)
-        if CLEARLY * other.share < one.share and other.share < 1.0:  # else both explain nothing
-            one = other.better_than(one)
+    one = in_the_better_convention(made, fields, columns, folder)
     if not one.share <= PLAUSIBLE and (encoders := counted(one.machine, one.layouts)):
         columns = joint_columns(fields.fields, encoders.columns)
-        one = _readable(one.robot, fields, columns, folder)
+        one = readable(one.robot, fields, columns, folder)
         one = replace(one, conditions=encoders.stated(one.conditions, one.machine))
     made, machine, fields, conditions = one.robot, one.machine, one.fields, one.conditions
     if one.ways and (held := held_readings(one.ways[0], fields.poses)):
@@ -477,46 +468,6 @@ def _joined(sources: Sequence[Source], robot: RobotFile, folder: Path) -> Fields
         return by_machine
 
 
-@dataclass(frozen=True, eq=False)
-class _Readable:
-    """A robot with every way to read the columns on it, the best first."""
-
-    robot: Robot
-    machine: Machine
-    fields: Fields
-    conditions: Conditions
-    layouts: Sequence[Layout]
-    ways: list[Understood]
-
-    @property
-    def share(self) -> float:
-        return self.ways[0].share if self.ways else np.inf
-
-    def better_than(self, classical: _Readable) -> _Readable:
-        """With a sentence on why the table is read in this convention."""
-        words = (
-            "The table states no convention. In the modified one the nominal machine misses the "
-            f"readings by {significant(100 * self.share, 2)} % of their spread, in the classical "
-            f"one by {significant(100 * classical.share, 2)} %."
-        )
-        robot = replace(self.robot, remarks=(*self.robot.remarks, words))
-        return replace(self, robot=robot)
-
-
-def _readable(robot: Robot, fields: Fields, columns: tuple[Field, ...], folder: Path) -> _Readable:
-    machine = machine_of(robot, str(folder / PROJECT))
-    fields, conditions = apart(fields, robot.names, arm=in_space(machine.mechanism))
-    every_layout = layouts(fields.fields, robot.joints, robot.names, columns)
-    _refuse_zeros(every_layout, fields)
-    ways = sorted(every_way(machine, every_layout), key=lambda u: u.share)
-    if not (ways and ways[0].share <= PLAUSIBLE):
-        others = tuple(o for one in every_layout if (o := with_points_for_turns(one)))
-        further = sorted(every_way(machine, others), key=lambda u: u.share)
-        if further and further[0].share <= PLAUSIBLE:
-            every_layout, ways = others, further
-    return _Readable(robot, machine, fields, conditions, every_layout, ways)
-
-
 def _table(dataset: Dataset, statement: Statement) -> bytes:
     """The readings and their sds in SI units, for the file beside the project."""
     columns = statement.tables["data"]["columns"]
@@ -540,21 +491,6 @@ def _planned(statement: Statement, folder: Path) -> Statement:
             _read(kept, folder)  # joints may have other names
             return kept
     return statement
-
-
-def _refuse_zeros(some: Sequence[Layout], fields: Fields) -> None:
-    """Raise InputError for points of an instrument that read 0, 0, 0 in some rows."""
-    for seen in {id(s): s for layout in some for s in layout.seen}.values():
-        if len(seen.position) == 3:
-            readings = {f.label: f.values for f in seen.position}
-            lost = np.all([f.values == 0.0 for f in seen.position], axis=0)
-            if lost.any() and not lost.all() and len(readings) == 3:
-                dataset = Dataset.from_arrays(readings, poses=fields.poses)
-                gone = ",".join(dataset.poses[i] for i in np.flatnonzero(lost))
-                try:
-                    refuse_lost(dataset, list(readings), lost, "or leave these poses out")
-                except InputError as error:
-                    raise error.offering("--exclude", gone) from None
 
 
 def _odd(project: Project, dataset: Dataset) -> tuple[str, ...]:
