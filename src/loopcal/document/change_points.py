@@ -9,8 +9,15 @@ from typing import Literal
 from loopcal.document.findings import DelayEntry, JointErrorEntry, ScaleEntry
 from loopcal.document.plain import Count, Probability, Size
 from loopcal.mechanisms.effects.effect import LENGTHS, LOAD
-from loopcal.presentation.brief import brief
-from loopcal.presentation.shown import enumerated, p_words, percent, significant, with_unit, wrapped
+from loopcal.presentation.shown import (
+    brief,
+    enumerated,
+    p_words,
+    percent,
+    significant,
+    with_unit,
+    wrapped,
+)
 
 Moved = Literal["target", "station", "lens", "joint", "reading", "load", "expansion", "link"]
 _WORDS = {

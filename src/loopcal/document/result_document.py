@@ -44,8 +44,15 @@ from loopcal.document.verdict import Finding, Verdict
 from loopcal.measurements.days import Days
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.structure.structured import unstated_mountings
-from loopcal.presentation.brief import brief
-from loopcal.presentation.shown import columns, p_words, percent, significant, with_unit, wrapped
+from loopcal.presentation.shown import (
+    brief,
+    columns,
+    p_words,
+    percent,
+    significant,
+    with_unit,
+    wrapped,
+)
 
 UPDATED = "implicit loop, updated"
 """Label of the method, in the result of an update."""

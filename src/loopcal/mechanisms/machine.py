@@ -36,7 +36,7 @@ from loopcal.mechanisms.instruments.orientation import Orientation
 from loopcal.mechanisms.mechanism import Family, Mechanism, Placement
 from loopcal.mechanisms.parameters import OF_CAMERAS, Gauge, Parameter, fixed, held, stated
 from loopcal.mechanisms.tree import BASE, BODY, Tree
-from loopcal.presentation.brief import brief
+from loopcal.presentation.shown import brief
 
 if TYPE_CHECKING:
     from loopcal.mechanisms.effects.gravity import Load

@@ -1,12 +1,14 @@
-"""SI values in the units that people read: millimetres, degrees, microradians."""
+"""SI values in the units that people read: millimetres, degrees, microradians; others in short."""
 
 from __future__ import annotations
 
 import math
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
+from loopcal.errors import short
 from loopcal.units import from_si
 
 SHOWN = {"m": "mm", "rad": "deg", "m/K": "um/K", "rad/K": "urad/K"}
@@ -193,3 +195,10 @@ class Table:
     def lines(self) -> list[str]:
         """As text; the caption stands where a page has the name of the first column."""
         return columns([(self.caption.lower(), *self.head[1:]), *self.rows])
+
+
+def brief(value: Any) -> str:
+    """A dataclass whose numbers are too many to print, `<Kind: the names of its fields>`, as its
+    `__repr__`."""
+    names = ", ".join(field.name for field in fields(value))
+    return f"<{type(value).__name__}: {short(names, 200)}>"

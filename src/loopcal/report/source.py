@@ -13,7 +13,7 @@ from loopcal.files.result.deployed import Deployed, read_deployed
 from loopcal.files.result.pose_table import PoseTable, pose_table, read_pose_table
 from loopcal.files.result.result_file import read_result
 from loopcal.mechanisms.mechanism import Mechanism
-from loopcal.presentation.brief import brief
+from loopcal.presentation.shown import brief
 from loopcal.report.templates import today
 
 

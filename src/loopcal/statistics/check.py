@@ -36,8 +36,7 @@ from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parameters import labels_of
 from loopcal.mechanisms.prior import PriorLike
 from loopcal.mechanisms.redundancy import distinguished, guessed
-from loopcal.presentation.brief import brief
-from loopcal.presentation.shown import SHOWN, columns, significant
+from loopcal.presentation.shown import SHOWN, brief, columns, significant
 from loopcal.small_samples import LearntCovariance
 from loopcal.statistics.folds import repeated, stated_sds
 from loopcal.statistics.identifiability import (

@@ -15,8 +15,7 @@ from loopcal.document.catalogue import findings
 from loopcal.document.plain import finite
 from loopcal.document.verdict import Fact, Finding, Where, fact
 from loopcal.lazy import cached_property
-from loopcal.presentation.brief import brief
-from loopcal.presentation.shown import SHOWN, columns, percent, rounded_by_sd, significant
+from loopcal.presentation.shown import SHOWN, brief, columns, percent, rounded_by_sd, significant
 from loopcal.small_samples import f_tail, t_quantile
 from loopcal.units import from_si
 

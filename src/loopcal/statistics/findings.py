@@ -34,7 +34,7 @@ from loopcal.execution.forked import process_cores
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.station import standing
 from loopcal.mechanisms.structure.structured import EFFECT
-from loopcal.presentation.brief import brief
+from loopcal.presentation.shown import brief
 from loopcal.statistics.case import Case, nominal_case
 from loopcal.statistics.change_points import apart, find_shifts
 from loopcal.statistics.changes import shift_lines

@@ -39,8 +39,7 @@ from loopcal.measurements.noise import Noise, NoiseLike, resolve_noise
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.outputs import OutputGroup, output_groups
 from loopcal.mechanisms.parallel.free_body import COLUMNS, POSITION
-from loopcal.presentation.brief import brief
-from loopcal.presentation.shown import significant, with_unit
+from loopcal.presentation.shown import brief, significant, with_unit
 from loopcal.small_samples import LearntCovariance, f_limit, t_quantile
 from loopcal.statistics.predictor import (
     Predictor,

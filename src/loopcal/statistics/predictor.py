@@ -29,8 +29,7 @@ from loopcal.mechanisms.instruments.camera import off_axis
 from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 from loopcal.mechanisms.model_error import disturbances, with_model_error
 from loopcal.mechanisms.outputs import OutputGroup, output_groups
-from loopcal.presentation.brief import brief
-from loopcal.presentation.shown import with_unit
+from loopcal.presentation.shown import brief, with_unit
 from loopcal.small_samples import LearntCovariance
 from loopcal.statistics.calibrated import (
     by_residuals,

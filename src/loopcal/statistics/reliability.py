@@ -27,7 +27,7 @@ from loopcal.estimation.result import FitResult
 from loopcal.estimation.sensitivity import output_sensitivity
 from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.mechanisms.outputs import output_groups
-from loopcal.presentation.brief import brief
+from loopcal.presentation.shown import brief
 
 # Baarda (1968): with these the noncentrality is 4.13.
 ALPHA, POWER = 0.001, 0.8

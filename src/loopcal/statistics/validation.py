@@ -36,7 +36,7 @@ from loopcal.execution.executor import Executor, Progress, gathered
 from loopcal.execution.forked import process_cores
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
-from loopcal.presentation.brief import brief
+from loopcal.presentation.shown import brief
 from loopcal.statistics.another_day import Day
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.case import NEAR, Case, taken

@@ -24,8 +24,7 @@ from loopcal.document.verdict import (
     fact,
 )
 from loopcal.lazy import cached_property
-from loopcal.presentation.brief import brief
-from loopcal.presentation.shown import Table, by_sd, p_words, significant, size, unit_shown
+from loopcal.presentation.shown import Table, brief, by_sd, p_words, significant, size, unit_shown
 from loopcal.statistics.changed import LARGER, LEVEL, WhatChanged
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.innovation import Innovation

@@ -28,8 +28,7 @@ from loopcal.companions.robot.inverse import solve
 from loopcal.companions.robot.programs.program import Noted
 from loopcal.companions.robot.rigid import between, moved
 from loopcal.document.plain import plain
-from loopcal.presentation.brief import brief
-from loopcal.presentation.shown import with_unit
+from loopcal.presentation.shown import brief, with_unit
 
 _SHOWN = 10
 _REPEATED = "Inserted targets repeat the speed and zone of their move: an exact stop stops at each."

@@ -28,8 +28,7 @@ from loopcal.files.machines.mechanism_writer import source_file
 from loopcal.files.outputs import one_command
 from loopcal.files.project.project_data import computed_joints
 from loopcal.files.result.deployed import EXPORT, PREVIEW, note_deployed
-from loopcal.presentation.brief import brief
-from loopcal.presentation.shown import with_unit
+from loopcal.presentation.shown import brief, with_unit
 from loopcal.workflow.resolved import result_of
 from loopcal.workflow.saved_result import read_result
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from loopcal.arrays import Array, svd
 from loopcal.lazy import cached_property
-from loopcal.presentation.brief import brief
+from loopcal.presentation.shown import brief
 
 # Eigenvalues of a matrix with unit diagonal are right to some n eps, singular values
 # thus to its root: 1.5e-7 for n = 100.
