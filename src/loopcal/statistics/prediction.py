@@ -117,7 +117,8 @@ class Prediction:
         return self.ratio > ALARM if self.outside is None else (self.ratio > ALARM) | self.outside
 
     def columns(self) -> dict[str, Array | tuple[str, ...]]:
-        """As a table, one row per pose: outputs, their sds, sd by instrument, covariance, alarm."""
+        """As a table, one row per pose: outputs, their sds, sd by instrument, covariance, alarm.
+        Of images the covariance of u and v of each corner alone."""
         table: dict[str, Array | tuple[str, ...]] = {"pose": self.poses}
         for name, values in self.outputs.items():
             table[f"{name} [{self.units[name]}]"] = values
@@ -131,11 +132,13 @@ class Prediction:
         for name, covariance in parts.items():
             for group, of in zip(self.groups, self._named(), strict=True):
                 table[f"{name}{of} [{group.unit}]"] = _finite(trace_sd(covariance, group))
-        names = list(self.outputs)
+        names, whole = list(self.outputs), parts["sd"]
+        corner = {row: (g, k // 2) for g in self.groups if g.image for k, row in enumerate(g.rows)}
         for i, a in enumerate(names):
             for j, b in enumerate(names[: i + 1]):
-                key = f"covariance {b} {a} [{self.units[b]} {self.units[a]}]"
-                table[key] = _finite(self.covariance[:, j, i])
+                if corner.get(i) == corner.get(j):
+                    key = f"covariance {b} {a} [{self.units[b]} {self.units[a]}]"
+                    table[key] = _finite(whole[:, j, i])
         table["region 95 %"] = self.region()
         table["extrapolated"] = tuple("yes" if e else "no" for e in self.extrapolated)
         return table

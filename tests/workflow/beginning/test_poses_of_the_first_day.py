@@ -82,6 +82,17 @@ def test_pixels_of_poses_without_images_are_where_they_were_seen(
     assert any("read as before" in str(one.message) for one in said) == (stated is not quaternions)
     seen = true.corners.uv.reshape(len(true.T), -1)
     np.testing.assert_allclose(np.stack([*some.outputs.values()], axis=1), seen, atol=1.0)
+    corners = [name.removesuffix(":u") for name in some.outputs if name.endswith(":u")]
+    assert 2 * len(corners) == len(some.outputs)
+    # A table of all pairs of 144 corners had 41,616 columns, and took five minutes.
+    of_corners = [
+        f"covariance {c}:{a} {c}:{b}"
+        for c in corners
+        for b in "uv"
+        for a in "uv"[: "uv".index(b) + 1]
+    ]
+    columns = [name.partition(" [")[0] for name in some.columns()]
+    assert [name for name in columns if name.startswith("covariance")] == of_corners
 
 
 def test_a_unit_that_is_stated_later_counts(tmp_path: Path) -> None:
