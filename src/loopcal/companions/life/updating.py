@@ -179,11 +179,12 @@ def updated(
         kept = np.setdiff1d(np.arange(len(data)), gone)
         data, stated = data.without_outliers(gone), stated and stated.take(kept)
         allowance = allowed(calibrated, data, since, stated)
-    drift, grown, names = allowance.drift, allowance.grown, calibrated.mechanism.parameters.names
-    followed = {name for name, row in zip(names, drift, strict=True) if row.any()}
+    drift, grown, every = allowance.drift, allowance.grown, calibrated.mechanism.parameters.names
+    followed = {name for name, row in zip(every, drift, strict=True) if row.any()}
     calibrated = _following(as_calibrated, followed)
     calibrated = (calibrated.stationed if since.moved else calibrated).continuing
-    rows = [names.index(name) for name in calibrated.mechanism.parameters.names]
+    names = calibrated.mechanism.parameters.names
+    rows = [every.index(name) for name in names]
     drift, grown = drift[rows], None if grown is None else grown[:, rows]
     held = stated is not None
     if stated is None:
