@@ -4,7 +4,9 @@ With exact parameters the outputs computed from noisy readings still miss the me
 
     E |d|^2 = trace(S Sigma_x S^T + Sigma_y),   S = dy/dx.
 
-No calibration can do better on readings that are not corrected.
+No calibration can do better on readings that are not corrected. Where nothing but the outputs says
+where a pose is, as of a board that is held before a camera, the pose follows their noise: with U
+the derivatives of the outputs by it and W their weights, d loses U (U^T W U)^-1 U^T W d.
 """
 
 from __future__ import annotations
@@ -63,20 +65,23 @@ def _floor(result: FitResult) -> float | None:
     # The floor is that of the sensors: the model's own error is no noise of a reading.
     sds[[quantities.index(q) for q in mechanism.disturbances]] = 0.0
     values = np.array([p.nominal for p in mechanism.parameters])
-    parts = []
+    outputs, parts = [quantities.index(q) for q in mechanism.outputs], []
     for pattern, poses in _blocks(problem):
         x = problem.readings[:, poses] + result.solution.corrections[:, poses]
         constants, sd = problem.pose_constants[:, poses], sds[:, poses]
-        S = output_sensitivity(
-            mechanism, values, problem.names, x, constants, pattern.unmeasured
-        ).by_reading
+        hidden = [i for i in pattern.unmeasured if i not in outputs]
+        loose = len(outputs) + len(hidden) > len(mechanism.tape.loops)
+        also = () if loose else pattern.unmeasured
+        S = output_sensitivity(mechanism, values, problem.names, x, constants, also).by_reading
+        S[:, np.arange(len(outputs)), outputs] = 1.0  # measured less computed, apart from the rest
         spread = S * np.where(np.isfinite(sd), sd, 0.0).T[:, None, :]
+        if loose:
+            spread = _followed(spread, S[:, :, hidden], sd[outputs].T)
         for seen in seen_outputs(mechanism):
-            read = seen.position or seen.turns
-            if (seen.unit if seen.position else "rad") == unit and set(read) <= set(
-                mechanism.outputs
-            ):
-                parts.append(_squares(seen, read, mechanism.outputs, quantities, spread, x, sd))
+            read = [quantities.index(q) for q in seen.position or seen.turns]
+            if (seen.unit if seen.position else "rad") == unit and set(read) <= set(outputs):
+                rows = [outputs.index(i) for i in read]
+                parts.append(_squares(seen, spread[:, rows], x[read], sd[read]))
     squares = np.concatenate(parts) if parts else np.empty(0)
     squares = squares[np.isfinite(squares)]
     return math.sqrt(float(squares.mean())) if squares.size else None
@@ -91,22 +96,21 @@ def _blocks(problem: Problem) -> Iterator[tuple[Pattern, NDArray[np.intp]]]:
             yield pattern, poses[begin : begin + problem.most]
 
 
-def _squares(
-    seen: Seen,
-    read: tuple[str, ...],
-    outputs: tuple[str, ...],
-    quantities: tuple[str, ...],
-    spread: Array,
-    x: Array,
-    sd: Array,
-) -> Array:
-    """(N,) expected squared distance of what one instrument sees; inf where it reads nothing."""
-    rows = [quantities.index(q) for q in read]
-    moved = spread[:, [outputs.index(q) for q in read]]
-    reading_sds = np.where(np.eye(len(read), dtype=bool), sd[rows].T[:, :, None], 0.0)
-    both = np.concatenate([moved, reading_sds], axis=2)
-    if seen.form in POLAR:
-        both = _turned(x[rows]) @ both
+def _followed(spread: Array, U: Array, sd: Array) -> Array:
+    """What (N, o, k) leaves where poses with the derivatives U (N, o, u) follow outputs with these
+    sds (N, o)."""
+    w = np.where(np.isfinite(sd) & (sd > 0.0), 1.0 / np.where(sd > 0.0, sd, 1.0), 0.0)[:, :, None]
+    U, spread = np.nan_to_num(U), np.nan_to_num(spread)
+    return np.asarray(spread - U @ (np.linalg.pinv(w * U) @ (w * spread)))
+
+
+def _squares(seen: Seen, spread: Array, x: Array, sd: Array) -> Array:
+    """(N,) expected squared distance of what one instrument sees; inf where it reads nothing.
+
+    spread: (N, d, k) of its readings x (d, N) by one sd of each; sd: (d, N).
+    """
+    both = _turned(x) @ spread if seen.form in POLAR else spread
+    both = np.where(np.isfinite(sd).T[:, :, None], both, np.inf)
     squares = np.square(both).sum(axis=2)
     if seen.image:  # of the points that were seen
         there = np.isfinite(squares)
