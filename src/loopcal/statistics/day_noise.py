@@ -95,7 +95,8 @@ AS_STATED = DayNoise()
 class _Rotated:
     """The equations of all poses along the axes of P_i: e (R, 1), X (R, m) with columns of length
     1, A (R, r), share (R,) of the noise of joints; more: equations without any such noise, which
-    are most of those of images, beyond those that stand for them."""
+    are most of those of images, beyond those that stand for them (below 0: so many stand for
+    nothing)."""
 
     e: Array
     X: Array
@@ -112,22 +113,22 @@ class _Rotated:
         B = placement.columns([quantities[i] for i in rows]) * sd.T[placement.row_poses]
         X = span(X, _SHOWN)
         every = np.hstack([linear.e[:, None], X, linear.A])
-        turned, shares, begin = [], [], 0
+        of_joints, shares, others, begin, free = [], [], [], 0, 0
         for block in placement.rows:
             b, r = block.e.shape
             part = slice(begin, begin + b * r)
-            U, s, _ = np.linalg.svd(B[part].reshape(b, r, len(rows)))
-            share = np.zeros((b, r))
-            share[:, : s.shape[1]] = np.minimum(np.square(s), 1.0)
-            turned.append((U.transpose(0, 2, 1) @ every[part].reshape(b, r, -1)).reshape(b * r, -1))
-            shares.append(share.ravel())
-            begin += b * r
-        every, of_joints = np.concatenate(turned), np.concatenate(shares)
-        alike = np.linalg.qr(every[of_joints == 0.0], mode="r")
-        rest = np.vstack([every[of_joints > 0.0], alike])
-        of_rest = np.append(of_joints[of_joints > 0.0], np.zeros(len(alike)))
+            U, s, _ = np.linalg.svd(B[part].reshape(b, r, len(rows)), full_matrices=False)
+            equations = every[part].reshape(b, r, -1)
+            along = U.transpose(0, 2, 1) @ equations
+            of_joints.append(along.reshape(s.size, -1))
+            shares.append(np.minimum(np.square(s), 1.0).ravel())
+            others.append((equations - U @ along).reshape(b * r, -1)[: b * r * (r > s.shape[1])])
+            begin, free = begin + b * r, free + b * r - s.size
+        alike = np.linalg.qr(np.concatenate(others), mode="r")
+        rest = np.vstack([*of_joints, alike])
+        share = np.concatenate([*shares, np.zeros(len(alike))])
         e, X, A = np.split(rest, [1, 1 + X.shape[1]], axis=1)
-        return cls(e, X, A, of_rest, len(every) - len(rest))
+        return cls(e, X, A, share, free - len(alike))
 
     @property
     def scatters(self) -> bool:
