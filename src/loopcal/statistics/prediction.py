@@ -154,11 +154,12 @@ class Prediction:
         return pandas.DataFrame(self.columns())
 
     def document(self) -> dict[str, Any]:
-        """As one JSON document: SI, null for what is not known."""
-        outputs, sds = list(self.outputs.items()), self.sd
+        """As one JSON document: SI, null for what is not known, and for covariances of images."""
+        outputs, sds, whole = list(self.outputs.items()), self.sd, self.covariance
+        image = any(group.image for group in self.groups)
         halves, limits = self.half_width(), self.region()
         by = [
-            (group, trace_sd(self.covariance, group), trace_sd(self.from_parameters, group))
+            (group, trace_sd(whole, group), trace_sd(self.from_parameters, group))
             for group in self.groups
         ]
         poses = [
@@ -168,8 +169,8 @@ class Prediction:
                 "sd": {q: float(v[i]) for q, v in sds.items()},
                 "half_width_95": {q: float(v[i]) for q, v in halves.items()},
                 "region_95": float(limits[i]),
-                "covariance": self.covariance[i],
-                "covariance_from_parameters": self.from_parameters[i],
+                "covariance": None if image else whole[i],
+                "covariance_from_parameters": None if image else self.from_parameters[i],
                 "by": [
                     {
                         "instrument": group.instrument,

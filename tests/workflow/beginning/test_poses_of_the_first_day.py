@@ -93,6 +93,7 @@ def test_pixels_of_poses_without_images_are_where_they_were_seen(
     ]
     columns = [name.partition(" [")[0] for name in some.columns()]
     assert [name for name in columns if name.startswith("covariance")] == of_corners
+    assert {pose["covariance"] for pose in some.document()["poses"]} == {None}
 
 
 def test_a_unit_that_is_stated_later_counts(tmp_path: Path) -> None:
