@@ -331,6 +331,16 @@ def test_where_most_poses_are_left_out_none_is_called_bad() -> None:
     assert verdict_of(replace(document, outlier_tests=few)).sound.code == "sound"
 
 
+def test_where_a_quarter_of_the_poses_do_not_fit_no_one_is_told_to_exclude_them() -> None:
+    document = clean()
+    for share, advice in ((0.1, "correct or exclude them"), (0.4, "Find what they share")):
+        count = int(share * document.data.used)
+        some = tuple(replace(OUTLIER, pose=str(i)) for i in range(count))
+        found = verdict_of(replace(document, outliers=some)).sound
+        assert (found.code, found.passed) == ("outliers", None)
+        assert advice in str(found)
+
+
 def test_without_stated_sds_a_pose_with_a_long_lever_arm_is_no_outlier() -> None:
     document = clean()
     assert document.outlier_tests is not None

@@ -281,6 +281,14 @@ _ROWS = (
         _REPORT,
     ),
     _sound_open(
+        "outliers-many",
+        "{count} not fit the others ({named}), of {all} in all.",
+        "So many are seldom mistakes. Find what they share, such as another form of the arm, a "
+        "region or a time, before you exclude any.",
+        _REPORT,
+        shared="outliers",
+    ),
+    _sound_open(
         "rows-copied", "{copied}", "Check how the file was made; delete the copies.", _CHECK
     ),
     _sound_open(

@@ -35,6 +35,9 @@ SUGGESTED = 2.71
 # Chosen, not derived: one good data set of a hundred; `analyses.gauntlet` counts all codes.
 _CHANCE = 0.01
 """Share of good data sets with a pose so far off; the search for outliers names more."""
+# Chosen, not derived: gross errors of a run are a few in a hundred.
+_MANY = 0.25
+"""Share of the poses from which on those that do not fit are no single mistakes."""
 # Record 0054; `analyses.residual_outliers` counts the good poses that are named.
 _UNLIKE = 1.5
 """Where residuals are the scale, a good pose may have so many times the usual variance: errors of
@@ -102,10 +105,11 @@ class Readings:
         several = len(count) > 1 or len(bad) > 1 or len(corners) > 1
         bad = tuple(dict.fromkeys([*bad, *corners]))
         gone = "; left out of the fit" if set(bad) <= {*self.data.discarded} else ""
+        every = self.data.used + len(self.data.discarded)
         return fact(
-            "outliers",
+            "outliers-many" if len(bad) > _MANY * every else "outliers",
             Where(poses=bad),
-            {"poses": len(bad)},
+            {"poses": len(bad), "all": every},
             named=", ".join(bad[:5]) + (", ..." if len(bad) > 5 else "") + gone,
             count=" and ".join(count) + (" do" if several else " does"),
         )
