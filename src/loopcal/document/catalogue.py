@@ -282,7 +282,7 @@ _ROWS = (
     ),
     _sound_open(
         "outliers-many",
-        "{count} not fit the others ({named}), of {all} in all.",
+        "{count} not fit the others ({named}), of {every} in all.",
         "So many are seldom mistakes. Find what they share, such as another form of the arm, a "
         "region or a time, before you exclude any.",
         _REPORT,

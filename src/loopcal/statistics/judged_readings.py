@@ -93,6 +93,8 @@ class Readings:
         if by_residuals and few:
             bad = ()
         bad = tuple(dict.fromkeys([*self.data.discarded, *bad]))
+        every = self.data.used + len(self.data.discarded)
+        many = len(bad) > _MANY * every
         count = [] if not bad else [f"{len(bad)} poses" if len(bad) > 1 else "1 pose"]
         if corners:
             images = len(set(corners))
@@ -105,13 +107,13 @@ class Readings:
         several = len(count) > 1 or len(bad) > 1 or len(corners) > 1
         bad = tuple(dict.fromkeys([*bad, *corners]))
         gone = "; left out of the fit" if set(bad) <= {*self.data.discarded} else ""
-        every = self.data.used + len(self.data.discarded)
         return fact(
-            "outliers-many" if len(bad) > _MANY * every else "outliers",
+            "outliers-many" if many else "outliers",
             Where(poses=bad),
-            {"poses": len(bad), "all": every},
+            {"poses": len(bad)},
             named=", ".join(bad[:5]) + (", ..." if len(bad) > 5 else "") + gone,
             count=" and ".join(count) + (" do" if several else " does"),
+            every=str(every),
         )
 
     def _rows_copied(self) -> Fact | None:

@@ -106,3 +106,22 @@ def test_a_unit_that_is_stated_later_counts(tmp_path: Path) -> None:
     some = run_prediction(tmp_path / "cal", later, out=None)
     seen = true.corners.uv.reshape(len(true.T), -1)
     np.testing.assert_allclose(np.stack([*some.outputs.values()], axis=1), seen, atol=1.0)
+
+
+@pytest.mark.parametrize(("off", "kept"), [(6e-3, True), (0.3, False)])
+def test_images_whose_poses_err_more_are_left_to_the_calibration(
+    tmp_path: Path, off: float, kept: bool
+) -> None:
+    """Two of 20 poses of another form of the arm were left out, and the rest was sound with sds of
+    half the errors."""
+    true, random = shots(4, held=False, images=20, noise=0.1), np.random.default_rng(1)
+    T = true.T.copy()
+    T[:, :3, 3] += 3e-4 * random.normal(size=(len(T), 3))
+    T[[4, 11], :3, 3] += off * np.array([[0.6, 0.8, 0.0], [-0.8, 0.6, 0.0]])
+    project = lc.init(folder(tmp_path / "images", true, quaternions(T)), out=tmp_path / "cal")
+    assert "2 images (image 4, image 11) do not fit" in str(project)
+    assert len(project.dataset) == (20 if kept else 18)
+    if kept:
+        result = lc.calibrate(tmp_path / "cal" / "project.toml")
+        (sd,) = [one.sd for one in result.document.noise if "x" in one.quantities]
+        assert 0.7 < sd / np.sqrt(3e-4**2 + 2.0 * off**2 / (3 * 20)) < 1.4

@@ -16,6 +16,10 @@ FAR = 5.0
 """Lengths of plane normal errors exceed k medians with probability 2^-(k^2): here 3e-8."""
 NEAR = 3.0
 """The same: one of 500 is farther."""
+# Chosen, not derived: arms err by some ten times as much in another form; an image of another pose
+# or session is off by hundreds.
+GROSS = 30.0
+"""Medians from which on an image that nothing explains says nothing of the robot."""
 
 SURE = 3
 """Corners that say which pose a view is of: one point is as near to a point of some other pose."""
@@ -44,7 +48,7 @@ def explained(reading: Reading, result: Adjusted) -> Explained:
     orders: dict[int, list[str]] = {}
     rows: dict[int, int] = {}
     copies: dict[int, int] = {}
-    wrong: list[int] = []
+    wrong: dict[int, float] = {}
     new = corners
     for v in np.flatnonzero(off):
         one = corners.where(views.of_corner == v)
@@ -58,17 +62,23 @@ def explained(reading: Reading, result: Adjusted) -> Explained:
         elif (row := _beside(one, scene, NEAR * typical)) is not None:
             rows[image] = row
         else:
-            wrong.append(image)
+            wrong[image] = max(float(px[v]) / typical, wrong.get(image, 0.0))
     facts += _order_facts(corners, orders)
     facts += _row_facts(corners, rows)
     facts += _copy_facts(corners, copies)
-    if wrong:
-        names = _names(corners, sorted(set(wrong)))
-        sentence = (
-            f"{_count(names)} not fit, neither in another order nor beside another pose. "
-            "Inspect corners and poses."
-        )
-        facts.append(Fact("image-unexplained", sentence, {"images": len(names)}, names))
+    gross = {image for image, times in wrong.items() if times > GROSS}
+    for some, remedy in (
+        (gross, "Inspect corners and poses."),
+        (wrong.keys() - gross, "Poses of an arm in another form err so: the calibration judges."),
+    ):
+        if names := _names(corners, sorted(some)):
+            times = max(wrong[image] for image in some)
+            sentence = (
+                f"{_count(names)} not fit, neither in another order nor beside another pose: off "
+                f"by up to {times:.0f} times the usual. {remedy}"
+            )
+            values: dict[str, float | str] = {"images": len(names), "times": times}
+            facts.append(Fact("image-unexplained", sentence, values, names))
     reading = replace(reading, corners=new)
     if rows and reading.T_base_flange is not None:
         T = reading.T_base_flange.copy()

@@ -13,6 +13,7 @@ import numpy as np
 from loopcal.arrays import Array
 from loopcal.errors import InputError, listed
 from loopcal.estimation.cameras.corners import Corners
+from loopcal.estimation.cameras.images import GROSS
 from loopcal.estimation.cameras.mistakes import MIRRORED
 from loopcal.estimation.cameras.parts import in_parts
 from loopcal.estimation.cameras.start import (
@@ -50,9 +51,10 @@ class FromImages:
 
     @property
     def doubtful(self) -> tuple[str, ...]:
-        """Images that fit neither in another order nor beside another pose."""
-        facts = self.project.begun.facts
-        return tuple(p for f in facts if f.code == UNEXPLAINED for p in f.images)
+        """Images that copy others, or are grossly off in any order and beside any pose."""
+        facts = [f for f in self.project.begun.facts if f.code == UNEXPLAINED]
+        gross = (f for f in facts if float(f.values.get("times", np.inf)) > GROSS)
+        return tuple(p for f in gross for p in f.images)
 
     @property
     def shares(self) -> dict[str, float]:
