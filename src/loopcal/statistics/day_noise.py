@@ -120,9 +120,10 @@ class _Rotated:
             U, s, _ = np.linalg.svd(B[part].reshape(b, r, len(rows)), full_matrices=False)
             equations = every[part].reshape(b, r, -1)
             along = U.transpose(0, 2, 1) @ equations
-            of_joints.append(along.reshape(s.size, -1))
+            of_joints.append(along.reshape(s.size, every.shape[1]))
             shares.append(np.minimum(np.square(s), 1.0).ravel())
-            others.append((equations - U @ along).reshape(b * r, -1)[: b * r * (r > s.shape[1])])
+            rest = equations - U @ along if r > s.shape[1] else equations[:0]
+            others.append(rest.reshape(-1, every.shape[1]))
             begin, free = begin + b * r, free + b * r - s.size
         alike = np.linalg.qr(np.concatenate(others), mode="r")
         rest = np.vstack([*of_joints, alike])
