@@ -18,7 +18,7 @@ from loopcal.statistics.choice import _taken, choose
 from loopcal.statistics.folds import Scheme
 from loopcal.statistics.gain import Gain
 from loopcal.statistics.judged import Judged
-from loopcal.statistics.noise_floor import noise_floor
+from loopcal.statistics.noise_floor import _followed, noise_floor
 from loopcal.statistics.risks import beats
 from tests.estimation.cameras.test_image_errors import MACHINE, NAMES, POINTS, images, poses
 from tests.estimation.cameras.test_image_errors import stated as seen_at
@@ -241,6 +241,16 @@ def test_the_noise_floor_is_less_where_poses_follow_the_corners() -> None:
     floor = noise_floor(result)
     assert floor == pytest.approx(0.2 * np.sqrt(2.0 * (1.0 - 6.0 / 24.0)), rel=0.02)
     assert floor == pytest.approx(result.accuracy_after.rms, rel=0.03)
+
+
+def test_poses_that_are_lost_are_not_taken_for_poses_without_noise() -> None:
+    spread, U = np.ones((3, 4, 4)), np.ones((3, 4, 1))
+    spread[1, 2], spread[2, 3] = np.nan, np.nan
+    sd = np.ones((3, 4))
+    sd[2, 3] = np.inf  # unread, so that nothing is lost
+    left = _followed(spread, U, sd)
+    assert np.isnan(left[1]).all()
+    assert np.isfinite(left[[0, 2]]).all()
 
 
 def test_a_case_without_any_fit_raises_what_the_first_candidate_raised() -> None:

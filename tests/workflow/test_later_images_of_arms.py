@@ -112,27 +112,29 @@ def test_a_zero_is_named_beside_joints_that_scatter(
     assert "theta_3" in change.zeros
 
 
-def test_joints_that_scatter_are_seen_among_many_corners(
-    first: tuple[Rig, Path], tmp_path: Path
+@pytest.mark.parametrize(
+    ("shaken", "seed", "scatters", "least", "most"),
+    [
+        # Six of the 96 equations of an image see the joints, so that the test of all says nothing.
+        ({"encoder": 4.0}, 8, "joints", 2.0, 8.0),
+        ({"corner": 3.0}, 6, "readings", 2.7, 3.3),
+    ],
+)
+def test_what_scatters_is_no_change(
+    first: tuple[Rig, Path],
+    tmp_path: Path,
+    shaken: dict[str, float],
+    seed: int,
+    scatters: str,
+    least: float,
+    most: float,
 ) -> None:
-    """Six of the 96 equations of an image see the joints, so that the test of all says nothing."""
     rig, result = first
-    shaken = replace(rig, encoder=4.0 * rig.encoder)
-    done = verified(result, files(shaken, 8, tmp_path / "day-2", images=15))
+    noisy = replace(rig, **{name: times * getattr(rig, name) for name, times in shaken.items()})
+    done = verified(result, files(noisy, seed, tmp_path / "day-2", images=15))
     scatter = scattered(done)
-    assert [*scatter] == ["joints"]
-    assert 2.0 < scatter["joints"] < 8.0
-    assert done.changes is not None
-    assert not done.changes.found
-
-
-def test_blurred_corners_are_no_change(first: tuple[Rig, Path], tmp_path: Path) -> None:
-    rig, result = first
-    blurred = replace(rig, corner=3.0 * rig.corner)
-    done = verified(result, files(blurred, 6, tmp_path / "day-2", images=15))
-    scatter = scattered(done)
-    assert [*scatter] == ["readings"]
-    assert 2.7 < scatter["readings"] < 3.3
+    assert [*scatter] == [scatters]
+    assert least < scatter[scatters] < most
     assert done.changes is not None
     assert not done.changes.found
 

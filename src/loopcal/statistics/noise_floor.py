@@ -98,10 +98,12 @@ def _blocks(problem: Problem) -> Iterator[tuple[Pattern, NDArray[np.intp]]]:
 
 def _followed(spread: Array, U: Array, sd: Array) -> Array:
     """What (N, o, k) leaves where poses with the derivatives U (N, o, u) follow outputs with these
-    sds (N, o)."""
+    sds (N, o); NaN where the pose is lost."""
+    lost = np.asarray((np.isnan(spread).any(axis=2) & np.isfinite(sd)).any(axis=1))
     w = np.where(np.isfinite(sd) & (sd > 0.0), 1.0 / np.where(sd > 0.0, sd, 1.0), 0.0)[:, :, None]
     U, spread = np.nan_to_num(U), np.nan_to_num(spread)
-    return np.asarray(spread - U @ (np.linalg.pinv(w * U) @ (w * spread)))
+    left = spread - U @ (np.linalg.pinv(w * U) @ (w * spread))
+    return np.where(lost[:, None, None], np.nan, left)
 
 
 def _squares(seen: Seen, spread: Array, x: Array, sd: Array) -> Array:

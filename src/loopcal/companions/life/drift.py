@@ -154,8 +154,8 @@ def allowed(calibrated: Calibrated, data: Dataset, since: Since, noise: Noise | 
 
 def _of_parameters(moved: Mapping[str, float]) -> dict[str, float]:
     """With scales of slides in place of what they read in proportion."""
-    slides = {name: f"{name.removesuffix(IN_PROPORTION)}_scale" for name in moved}
-    return {slides[n] if n.endswith(IN_PROPORTION) else n: by for n, by in moved.items()}
+    stems = {name: name.removesuffix(IN_PROPORTION) for name in moved}
+    return {n if stems[n] == n else f"{stems[n]}_scale": by for n, by in moved.items()}
 
 
 @dataclass(frozen=True, eq=False)

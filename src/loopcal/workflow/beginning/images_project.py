@@ -305,10 +305,10 @@ class ImagesProject:
 def frame_of(xyz: Array, seen: NDArray[np.intp], *, sized: bool) -> set[tuple[int, int]]:
     """Coordinates (point, axis) by which the frame of a body is held, of points (n, 3).
 
-    All of a point, two of the one farthest from it, and one of the point farthest from both: six,
-    as the place of the body has. Points that move alike could not be told from it. seen: (up to n,)
-    how often each is seen; sized: a third one of the second, where nothing else says how large the
-    body is.
+    Six are held, as the place of the body has six: three of a point, two of the point farthest from
+    it, and one of the point farthest from both. Were none held, all points and the place could move
+    alike. seen: (up to n,) how often each is seen; sized: hold the third one of the second point
+    too, where nothing else shows how large the body is.
     """
     often = np.flatnonzero(seen >= 0.5 * seen.max(initial=1))
     P = xyz[often] - xyz[often].mean(axis=0)

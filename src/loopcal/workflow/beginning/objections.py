@@ -216,8 +216,9 @@ def _orientations(case: Case) -> Iterator[Explanation]:
                 moved = [
                     seen.turned[i] for i, j in zip(meaning.order, order, strict=True) if i != j
                 ]
-                words = f"{names_of(moved)} are under each other's headers"
-                tried[words] = turned_by(seen, meaning.angle, meaning.form, order)
+                if moved:
+                    words = f"{names_of(moved)} are under each other's headers"
+                    tried[words] = turned_by(seen, meaning.angle, meaning.form, order)
             few = _few(len(point))
             for words, turns in tried.items():
                 other = replace(meaning, inverted=False, position=point, turns=turns)
