@@ -122,8 +122,8 @@ class _Rotated:
             along = U.transpose(0, 2, 1) @ equations
             of_joints.append(along.reshape(s.size, every.shape[1]))
             shares.append(np.minimum(np.square(s), 1.0).ravel())
-            rest = equations - U @ along if r > s.shape[1] else equations[:0]
-            others.append(rest.reshape(-1, every.shape[1]))
+            across = equations - U @ along if r > s.shape[1] else equations[:0]
+            others.append(across.reshape(-1, every.shape[1]))
             begin, free = begin + b * r, free + b * r - s.size
         alike = np.linalg.qr(np.concatenate(others), mode="r")
         rest = np.vstack([*of_joints, alike])
