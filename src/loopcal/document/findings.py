@@ -408,6 +408,18 @@ class PrintedEntry:
 
 
 @dataclass(frozen=True)
+class FurtherWavesEntry:
+    """Waves of the joints that the discrepancy of a body leaves out."""
+
+    body: str
+    """"" for the only one."""
+    sd: Size
+    """Of the amplitudes [m]."""
+    moved: tuple[tuple[float, ...], ...]
+    """What an amplitude of one sd does to each estimated parameter [SI], by parameter and wave."""
+
+
+@dataclass(frozen=True)
 class PredictionEntry:
     """What `loopcal predict` needs beside the covariance and the calibrated mechanism."""
 
@@ -437,6 +449,8 @@ class PredictionEntry:
     """Camera -> the largest angle [rad] from the axis of its lens at which a corner was read."""
     printed: PrintedEntry | None = None
     """Null: no print whose points may be off, or written by an earlier version."""
+    further_waves: tuple[FurtherWavesEntry, ...] = ()
+    """Empty: none are seen, or written by an earlier version."""
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,12 @@ from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.document.choice import TermEntry
-from loopcal.document.findings import LensErrorEntry, PrintedEntry, SmoothErrors
+from loopcal.document.findings import (
+    LensErrorEntry,
+    PredictionEntry,
+    PrintedEntry,
+    SmoothErrors,
+)
 from loopcal.document.fit import ChiSquared, CovarianceEntry, NoiseEntry
 from loopcal.document.plain import symmetric
 from loopcal.document.result_document import ResultDocument
@@ -23,6 +28,7 @@ from loopcal.estimation.result import FitResult
 from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parallel.free_body import COLUMNS, POSITION
+from loopcal.mechanisms.structure.smooth import FurtherWaves, scaled
 from loopcal.small_samples import LearntCovariance
 from loopcal.statistics.printed import Offsets
 from loopcal.statistics.scatter import Scatter, scatter
@@ -65,7 +71,8 @@ class Calibrated:
     was not judged; pose_part: (n_all, n_all) of the covariance (`FitResult.pose_part`), and
     smooth_errors, which say how far poses are from those of the fit; offsets: what the points of
     prints leave open, of which covariance says nothing; fields: what lenses leave, whose part of
-    the covariance other images of the same camera share.
+    the covariance other images of the same camera share; further_waves: errors of the machine that
+    its discrepancy has no waves for, which the covariance holds as errors of the parameters.
     """
 
     name: str
@@ -89,6 +96,7 @@ class Calibrated:
     smooth_errors: SmoothErrors | None = None
     offsets: Offsets | None = None
     fields: tuple[LensField, ...] = ()
+    further_waves: tuple[FurtherWaves, ...] = ()
 
     @classmethod
     def of(cls, result: FitResult, name: str) -> Calibrated:
@@ -121,6 +129,9 @@ class Calibrated:
             fields=_fields(
                 () if result.lens_errors is None else result.lens_errors.entries,
                 np.eye(size)[:, free],
+            ),
+            further_waves=tuple(
+                one.through(np.eye(size)[:, free]) for one in further_waves(result)
             ),
         )
 
@@ -170,6 +181,9 @@ class Calibrated:
             smooth_errors=None if stored is None else stored.smooth_errors,
             offsets=_offsets(None if stored is None else stored.printed, names, estimated),
             fields=_fields(document.lens_errors, np.eye(len(names))[:, free]),
+            further_waves=tuple(
+                one.through(np.eye(len(names))[:, free]) for one in stored_waves(stored)
+            ),
         )
 
     @property
@@ -207,6 +221,7 @@ class Calibrated:
             pose_part=None if self.pose_part is None else M @ self.pose_part @ M.T,
             offsets=self.offsets and self.offsets.through(M),
             fields=tuple(one.through(M) for one in self.fields),
+            further_waves=tuple(one.through(M) for one in self.further_waves),
         )
 
     @property
@@ -227,6 +242,7 @@ class Calibrated:
             gain=offsets.beside(used).matrix,
             pose_part=None if part is None else carried @ part @ carried.T,
             fields=tuple(one.through(carried) for one in self.fields),
+            further_waves=tuple(one.through(carried) for one in self.further_waves),
         )
 
     @property
@@ -335,6 +351,22 @@ def _fields(entries: Sequence[LensErrorEntry], place: Array) -> tuple[LensField,
     from loopcal.statistics.lens_fields import lens_fields  # of cameras alone
 
     return lens_fields(entries, place)
+
+
+def further_waves(result: FitResult) -> tuple[FurtherWaves, ...]:
+    """As its covariance has them: not where poses depend on each other by time."""
+    learnt = result.learnt
+    if learnt is None or result.drifting is not None:
+        return ()
+    chi = result.chi_squared
+    factor = chi.variance_factor if chi is not None and result.variance_factor_applied else None
+    return scaled(learnt.waves, factor or 1.0)
+
+
+def stored_waves(stored: PredictionEntry | None) -> tuple[FurtherWaves, ...]:
+    """As a document has them."""
+    entries = () if stored is None else stored.further_waves
+    return tuple(FurtherWaves(one.body, one.sd, np.array(one.moved)) for one in entries)
 
 
 def _hidden(result: FitResult) -> dict[str, float]:

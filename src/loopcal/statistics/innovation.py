@@ -27,6 +27,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,7 @@ from numpy.typing import NDArray
 from loopcal.arrays import Array, svd
 from loopcal.document.fit import NoiseEntry
 from loopcal.lazy import cached_property
+from loopcal.mechanisms.structure.smooth import FurtherWaves, wave_errors
 from loopcal.small_samples import f_tail
 from loopcal.statistics.calibrated import Calibrated
 from loopcal.statistics.replacing import DETERMINED, Replaced
@@ -86,7 +88,8 @@ class Linearised:
     parameters that are held; solve: (g + d, R) the least squares of F; rank: of F; factor: by
     how much the residuals of the calibration are larger than its stated variances; slopes:
     (a, r, r) changes of the covariance of h per sd of each error of learnt scales; noise: degrees
-    of freedom of learnt sds, inf where all are stated.
+    of freedom of learnt sds, inf where all are stated; further_waves: whose amplitudes are the
+    first of h.
     """
 
     placement: Replaced
@@ -99,6 +102,7 @@ class Linearised:
     factor: float
     slopes: Array
     noise: float
+    further_waves: tuple[FurtherWaves, ...] = ()
 
     @classmethod
     def of(
@@ -113,7 +117,9 @@ class Linearised:
         held as the machine is."""
         J, f = placement.J / np.sqrt(calibrated.factor), calibrated.factor
         held = ~placement.anew[:, None]
-        root = root_of(f * calibrated.covariance.matrix) * held
+        waves = _WavesLeft.at(placement, calibrated)
+        spread = root_of(f * (calibrated.covariance.matrix - waves.moved @ waves.moved.T))
+        root = spread * held
         loose = calibrated.undetermined * held
         seen = np.linalg.norm(J @ loose, axis=0)
         single = np.linalg.norm(J, axis=0) @ np.abs(loose)
@@ -128,13 +134,14 @@ class Linearised:
         kept = s > DETERMINED * s.max(initial=0.0)
         solve = (Vt[kept].T / s[kept]) @ U[:, kept].T / scale[:, None]
         A, rank, noise = J @ root, int(kept.sum()), _noise_freedom(calibrated, placement)
-        slopes = _slopes(calibrated, root_of(f * calibrated.covariance.matrix), ~placement.anew)
+        slopes = _slopes(calibrated, spread, ~placement.anew)
         e = placement.e / np.sqrt(f)
-        if drift is not None:
-            p = drift.shape[1]
-            A, root = np.hstack([A, drift / np.sqrt(f)]), np.pad(root, ((0, 0), (0, p)))
-            slopes = np.pad(slopes, ((0, 0), (0, p), (0, p)))
-        return cls(placement, e, F, A, root, solve, rank, f, slopes, noise)
+        drift = np.zeros((len(e), 0)) if drift is None else drift / np.sqrt(f)
+        w, p = waves.left.shape[1], drift.shape[1]
+        A, root = np.hstack([waves.left, A, drift]), np.pad(root, ((0, 0), (w, p)))
+        root[:, :w] = -waves.moved * held
+        slopes = np.pad(slopes, ((0, 0), (w, p), (w, p)))
+        return cls(placement, e, F, A, root, solve, rank, f, slopes, noise, waves.of)
 
     def unsurer(self, freedom: float) -> Linearised:
         """The same where the noise has also this many degrees of freedom, of another cause."""
@@ -242,6 +249,33 @@ class Linearised:
         mean = float(means.sum()) + (count - len(nu)) * rest
         excess = mean - count
         return 2.0 * mean / excess if excess > 1e-9 * count else None
+
+
+class _WavesLeft(NamedTuple):
+    """Errors that a discrepancy has no waves for. left: (R, w) columns by which they move the
+    equations beside what the fit made of them; moved: (n_all, w) that; of: those of the held
+    machine."""
+
+    left: Array
+    moved: Array
+    of: tuple[FurtherWaves, ...]
+
+    @classmethod
+    def at(cls, placement: Replaced, calibrated: Calibrated) -> _WavesLeft:
+        problem, n = placement.problem, len(calibrated.nominal)
+        structure, waves = problem.mechanism.structure, calibrated.further_waves
+        if structure is None or not waves:
+            return cls(np.zeros((len(placement.e), 0)), np.zeros((n, 0)), ())
+        names, every = problem.mechanism.tape.quantities, problem.mechanism.parameters.names
+        x = problem.readings + placement.corrections
+        held = np.diag((~placement.anew).astype(float))
+        of, smooths = tuple(one.through(held) for one in waves), structure.smooth.values()
+        left = []
+        for rows in placement.rows:
+            readings = dict(zip(names, x[:, rows.poses], strict=True))
+            errors = wave_errors(of, smooths, rows.J, rows.J, readings, every)
+            left.append(errors.left.reshape(rows.e.size, -1))
+        return cls(np.concatenate(left), np.hstack([one.moved for one in waves]), of)
 
 
 def _freedoms(changes: Array, noise: float) -> Array:

@@ -47,7 +47,7 @@ from loopcal.statistics.predictor import (
     by_parameters,
     predictor,
     trace_sd,
-    with_prints,
+    with_followers,
 )
 
 # Record 0054: valid up to 3.
@@ -354,8 +354,8 @@ def parts_at(
         y[i, unread[moved_by].any(axis=0)] = np.nan
     S = output_sensitivity(solved, values, calibrated.names, x, constants)
     o = len(calibrated.units)
-    slopes, beside = with_prints(calibrated, solved, S.by_parameter[:, :o], x, constants)
-    from_parameters = by_parameters(calibrated, slopes, measured=measured) + beside
+    slopes, beside = with_followers(calibrated, solved, S.by_parameter[:, :o], x, constants)
+    from_parameters = by_parameters(calibrated, slopes) + beside
     elsewhere = None if measured else _elsewhere(calibrated, solved, x, constants, S)
     if elsewhere is not None:
         from_parameters = from_parameters + elsewhere

@@ -11,7 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.arrays import Array
-from loopcal.document.findings import PredictionEntry, PrintedEntry, SmoothErrors, UsualSd
+from loopcal.document.findings import (
+    FurtherWavesEntry,
+    PredictionEntry,
+    PrintedEntry,
+    SmoothErrors,
+    UsualSd,
+)
 from loopcal.document.fit import NoiseCovarianceEntry, NoiseEntry
 from loopcal.document.result_document import ResultDocument
 from loopcal.errors import InputError
@@ -29,15 +35,18 @@ from loopcal.mechanisms.instruments.camera import off_axis
 from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 from loopcal.mechanisms.model_error import disturbances, with_model_error
 from loopcal.mechanisms.outputs import OutputGroup, output_groups
+from loopcal.mechanisms.structure.smooth import FurtherWaves, scaled, wave_errors
 from loopcal.presentation.shown import brief, with_unit
 from loopcal.small_samples import LearntCovariance
 from loopcal.statistics.calibrated import (
     by_residuals,
+    further_waves,
     rejected_by,
     residual_factor,
     residual_variance,
     stored_covariance,
     stored_pose_part,
+    stored_waves,
 )
 from loopcal.statistics.other_conditions import MEASURE, unlike
 
@@ -99,14 +108,13 @@ class Predictor:
     parameters, over the directions that are determined; undetermined: (n, d) steps [SI] that
     neither data nor prior limit; readings: what is known of their noise; usual: by instrument, the
     sd that parameters alone cause; typical: quantity -> a reading [SI] to start the search for
-    outputs from; at_poses: (n, n) the covariance for the poses of the fit, None: the same; factor:
-    by which the variances are larger here than the result states them, for its residuals are;
-    conditions: known column (temperature, load) -> its range [SI] in the calibration; shared:
-    output -> what errors that all outputs of an image share do to it (`PredictionEntry`);
-    pose_part: (n, n) what `covariance` lacks where a pose is far from those of the fit, and
-    smooth_errors, which say how far (of the result, without `factor`); seen: camera -> the largest
-    angle [rad] from its axis at which a corner was read; printed: what
-    the points of prints leave open.
+    outputs from; factor: by which the variances are larger here than the result states them, for
+    its residuals are; conditions: known column (temperature, load) -> its range [SI] in the
+    calibration; shared: output -> what errors that all outputs of an image share do to it
+    (`PredictionEntry`); pose_part: (n, n) what `covariance` lacks where a pose is far from those of
+    the fit, and smooth_errors, which say how far (of the result, without `factor`); seen: camera ->
+    the largest angle [rad] from its axis at which a corner was read; printed: what the points of
+    prints leave open; further_waves: errors of the machine that its discrepancy has no waves for.
     """
 
     __repr__ = brief
@@ -118,7 +126,6 @@ class Predictor:
     readings: ReadingNoise = field(default_factory=ReadingNoise)
     usual: tuple[UsualSd, ...] = ()
     typical: Mapping[str, float] = field(default_factory=dict)
-    at_poses: Array | None = None
     factor: float = 1.0
     conditions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     shared: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
@@ -126,6 +133,7 @@ class Predictor:
     smooth_errors: SmoothErrors | None = None
     seen: Mapping[str, float] = field(default_factory=dict)
     printed: PrintedEntry | None = None
+    further_waves: tuple[FurtherWaves, ...] = ()
 
     @cached_property
     def units(self) -> dict[str, str]:
@@ -148,6 +156,10 @@ class Predictor:
             smooth_errors=self.smooth_errors,
             seen=self.seen,
             printed=self.printed,
+            further_waves=tuple(
+                FurtherWavesEntry(one.body, one.sd, tuple(map(tuple, one.moved.tolist())))
+                for one in scaled(self.further_waves, 1.0 / self.factor)
+            ),
         )
 
     def unlike(self, columns: Mapping[str, Array]) -> list[str]:
@@ -210,6 +222,7 @@ def predictor_of(document: ResultDocument, mechanism: Mechanism) -> Predictor:
         smooth_errors=stored.smooth_errors,
         seen=stored.seen,
         printed=stored.printed,
+        further_waves=scaled(stored_waves(stored), residual_factor(rejected)),
     )
 
 
@@ -234,7 +247,7 @@ def predictor(result: FitResult) -> Predictor | None:
     joint = () if result.fit.solver.exact else joint_covariances(problem)
     x = problem.readings + corrections
     rejected = rejected_by(result.chi_squared, result.variance_factor_applied)
-    factor, at_poses = residual_factor(rejected), _at_poses(result)
+    factor = residual_factor(rejected)
     made = predictor_at(
         problem,
         result.calibrated,
@@ -242,7 +255,7 @@ def predictor(result: FitResult) -> Predictor | None:
         result.spectrum,
         x,
         ReadingNoise.of(result.noise, joint, unmeasured).scaled_by(factor),
-        None if at_poses is None else factor * at_poses,
+        further_waves=scaled(further_waves(result), factor),
         printed=result.printed,
     )
     groups = {(group.instrument, group.unit): group for group in output_groups(result.mechanism)}
@@ -304,21 +317,6 @@ def _residual_sd(result: FitResult, outputs: Sequence[str]) -> float | None:
     return math.sqrt(float(square.mean()) * result.solution.equations / result.freedom)
 
 
-def _at_poses(result: FitResult) -> Array | None:
-    """The covariance (n, n) for what the parameters do at the poses of the fit.
-
-    What these share with their neighbours, and the fit took for parameters, is in their residuals
-    already.
-    """
-    learnt = result.learnt
-    if learnt is None or learnt.shared is None or result.drifting is not None:
-        return None
-    chi = result.chi_squared
-    factor = chi.variance_factor if chi is not None and result.variance_factor_applied else None
-    shared: Array = (factor or 1.0) * (learnt.root @ learnt.shared @ learnt.root.T)
-    return result.learnt_covariance.less(result.pose_part).matrix - shared
-
-
 def predictor_at(
     problem: Problem,
     mechanism: Mechanism,
@@ -326,8 +324,8 @@ def predictor_at(
     system: Spectrum,
     x: Array,
     readings: ReadingNoise,
-    at_poses: Array | None = None,
     *,
+    further_waves: tuple[FurtherWaves, ...] = (),
     printed: PrintedEntry | None = None,
 ) -> Predictor:
     """The predictor of a parameter system, its usual sds taken at poses x (k, N) [SI]."""
@@ -340,8 +338,8 @@ def predictor_at(
         system.scale[:, None] * system.directions[:, ~system.kept],
         readings,
         typical={q: v for q, v in typical.items() if math.isfinite(v)},
-        at_poses=at_poses,
         printed=printed,
+        further_waves=further_waves,
     )
     return replace(bare, usual=_usual(bare, problem, x))
 
@@ -371,8 +369,8 @@ def _usual(bare: Predictor, problem: Problem, x: Array) -> tuple[UsualSd, ...]:
             S = output_sensitivity(
                 mechanism, values, bare.names, at[part], constants[part], pattern.unmeasured
             )
-            moved = with_prints(bare, mechanism, S.by_parameter, at[part], constants[part])
-            covariance = by_parameters(bare, moved.slopes, measured=True) + moved.beside
+            moved = with_followers(bare, mechanism, S.by_parameter, at[part], constants[part])
+            covariance = by_parameters(bare, moved.slopes) + moved.beside
             gathered.append([trace_sd(covariance, group) for group in groups])
     if not gathered:
         return ()
@@ -393,16 +391,9 @@ def _some(pattern: Pattern, total: int) -> NDArray[np.intp]:
     return np.intersect1d(chosen, np.arange(total)[pattern.poses])
 
 
-def by_parameters(calibrated: Predictor, S: Array, *, measured: bool = False) -> Array:
-    """C_p = S Cov S^T, (N, o, o); inf for outputs that an undetermined direction moves.
-
-    measured: at poses of the fit.
-    """
-    matrix = (
-        calibrated.at_poses
-        if measured and calibrated.at_poses is not None
-        else calibrated.covariance.matrix
-    )
+def by_parameters(calibrated: Predictor, S: Array) -> Array:
+    """C_p = S Cov S^T, (N, o, o); inf for outputs that an undetermined direction moves."""
+    matrix = calibrated.covariance.matrix
     if not np.isfinite(matrix).all():  # without a pose to spare nothing is known of their errors
         return np.full((*S.shape[:2], S.shape[1]), np.inf)
     covariance: Array = rows_times(S, matrix) @ S.transpose(0, 2, 1)
@@ -415,25 +406,54 @@ def by_parameters(calibrated: Predictor, S: Array, *, measured: bool = False) ->
     return covariance
 
 
-class WithPrints(NamedTuple):
+class WithFollowers(NamedTuple):
     """slopes: (N, o, n) by the parameters and the offsets that follow them; beside: (N, o, o)
-    what the offsets leave open besides."""
+    what offsets and waves change of the covariance besides."""
 
     slopes: Array
     beside: Array
 
 
-def with_prints(
+def with_followers(
     calibrated: Predictor, mechanism: Mechanism, S: Array, x: Array, constants: Array
-) -> WithPrints:
-    """What offsets of the points of prints do at readings x (k, N) [SI]; S: by the parameters.
+) -> WithFollowers:
+    """What moves outputs at readings x (k, N) [SI] as the parameters err; S: (N, o, n) by these."""
+    readings = dict(zip(mechanism.tape.quantities, x, strict=True))
+    readings |= dict(zip(mechanism.pose_constants, constants, strict=True))
+    slopes, beside = _with_prints(calibrated, mechanism, S, x, constants)
+    return WithFollowers(slopes, beside + by_further_waves(calibrated, S, slopes, readings))
+
+
+def by_further_waves(
+    calibrated: Predictor, S: Array, slopes: Array, readings: Mapping[str, Array]
+) -> Array:
+    """(N, o, o) what waves that the discrepancy leaves out change of C_p.
+
+    S: (N, o, n) by the parameters alone; slopes: and by what follows them. The fit takes up waves
+    of amplitudes b as errors F b of the parameters, which C_p holds. Between the poses S F b is
+    nearly Z b, what the waves do themselves; far away it is not. The error is (Z - S F) b in place
+    of S F b.
+    """
+    structure, waves = calibrated.mechanism.structure, calibrated.further_waves
+    if structure is None or not waves:
+        return np.zeros((len(S), 1, 1))
+    smooths = structure.smooth.values()
+    taken, left = wave_errors(waves, smooths, S, slopes, readings, calibrated.names)
+    changed = left @ left.transpose(0, 2, 1) - taken @ taken.transpose(0, 2, 1)
+    return np.asarray(changed)
+
+
+def _with_prints(
+    calibrated: Predictor, mechanism: Mechanism, S: Array, x: Array, constants: Array
+) -> tuple[Array, Array]:
+    """Slopes and covariance by offsets of points of prints at readings x (k, N) [SI].
 
     An output depends on one point alone, so that all points move at once: with its derivatives g
     (3,) by the offset of its point it gains g^T F in S and errs by g^T (U w + V v) besides.
     """
     printed = calibrated.printed
     if printed is None:
-        return WithPrints(S, np.zeros((len(S), 1, 1)))
+        return S, np.zeros((len(S), 1, 1))
     place = {p.name: i for i, p in enumerate(mechanism.parameters)}
     values = np.array([p.nominal for p in mechanism.parameters])
     number = {name: i for i, name in enumerate(printed.names)}
@@ -457,7 +477,7 @@ def with_prints(
         by_point[:, rows] += g * alone[which]
         by_all[:, rows] += g * together[which]
     beside = by_point @ by_point.transpose(0, 2, 1) * np.equal.outer(points, points)
-    return WithPrints(slopes, beside + by_all @ by_all.transpose(0, 2, 1))
+    return slopes, beside + by_all @ by_all.transpose(0, 2, 1)
 
 
 def trace_sd(covariance: Array, group: OutputGroup) -> Array:

@@ -35,6 +35,7 @@ from loopcal.estimation.solve.scratch import one_blas_thread
 from loopcal.measurements.copies import copies
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise, NoiseLike
+from loopcal.mechanisms.structure.smooth import wave_errors
 from loopcal.statistics.another_day import Day
 from loopcal.statistics.calibrated import Calibrated, ResidualVariance
 from loopcal.statistics.change_tests import Explained, what_changed
@@ -412,6 +413,12 @@ def _expected(
     g = placement.directions.shape[1]
     follows = placement.directions @ (linear.solve @ linear.A)[:g]
     machine = S.by_parameter @ (follows - linear.root)
+    if mechanism.structure is not None and linear.further_waves:
+        smooths = mechanism.structure.smooth.values()
+        readings, slopes = dict(zip(names, x, strict=True)), S.by_parameter
+        which = linear.further_waves, smooths
+        errors = wave_errors(*which, slopes, slopes, readings, mechanism.parameters.names)
+        machine[:, :, : errors.left.shape[2]] -= errors.left + errors.taken
     noise = _reading_noise(problem, S.by_reading, outputs, residual)
     # The placement takes up as many equations as it has rank, and their share of the noise.
     left = (len(linear.e) - linear.rank) / max(len(linear.e), 1)

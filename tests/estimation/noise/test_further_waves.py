@@ -1,12 +1,14 @@
 """Waves that a smooth discrepancy leaves out are errors that neighbouring poses share."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import loopcal as lc
 from analyses.gauntlet_worlds import World
-from analyses.smooth_errors import shifted
-from loopcal.estimation.noise.kenward_roger import _gained, _Sums, shared
+from analyses.smooth_errors import shifted, smooth
+from loopcal.estimation.noise.kenward_roger import _gained, _Sums, gains_by_waves
 from loopcal.mechanisms.structure.smooth import Smooth
 
 
@@ -23,7 +25,7 @@ def _rows(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 def _told(D: np.ndarray, Z: np.ndarray, e: np.ndarray) -> np.ndarray:
     found = _gained(_Sums(D.T @ Z, Z.T @ Z, Z.T @ e), D.T @ D, float(e @ e), len(e))
-    return np.zeros((D.shape[1], D.shape[1])) if found is None else found
+    return np.zeros((D.shape[1], D.shape[1])) if found is None else found.matrix
 
 
 def test_the_covariance_is_that_of_fits_whose_errors_neighbours_share() -> None:
@@ -67,12 +69,50 @@ def test_smooth_errors_widen_the_regions_where_no_pose_was_measured() -> None:
         model_error="structured",
     )
     problem, root = result.problem, result.spectrum.root
-    gained = shared(problem, result.solution.corrections, result.pose_equations(), root)
-    assert gained is not None
+    at = result.solution.corrections, result.pose_equations(), root
+    ((_, gained),) = gains_by_waves(problem, *at)
     assert np.linalg.eigvalsh(np.eye(len(gained)) + gained).min() > 0.0
     plain = root @ root.T
     waves = [i for i, name in enumerate(result.estimated) if name.startswith("discrepancy_")]
     assert np.diag(result.covariance)[waves].sum() > 1.1 * np.diag(plain)[waves].sum()
+
+
+@pytest.mark.parametrize("scale", [0.3, 1.0])
+def test_what_the_parameters_took_up_is_no_error_between_the_poses(
+    scale: float, tmp_path: Path
+) -> None:
+    """Measured in a corner, where waves and parameters do nearly the same."""
+    rng = np.random.default_rng([71000, 3])
+    trial = World(poses=150, share=0.15).made(rng)
+    outputs = trial.inside.outputs
+    joints = [q for q in trial.inside.readings if q not in outputs]
+    shift = smooth(scale, len(joints), rng)
+
+    def with_errors(outputs_of: dict[str, np.ndarray], at: dict[str, np.ndarray]) -> np.ndarray:
+        off = shift(np.column_stack([at[q] for q in joints]))
+        return np.column_stack([outputs_of[q] for q in outputs]) + off
+
+    measured = with_errors(trial.readings, trial.readings)
+    readings = trial.readings | dict(zip(outputs, measured.T, strict=True))
+    true = dict(zip(outputs, trial.inside.true.T, strict=True))
+    result = lc.calibrate(
+        trial.mechanism,
+        readings,
+        noise=trial.noise,
+        method="least-squares",
+        model_error="structured",
+    )
+    assert not lc.predict(result, {q: readings[q] for q in joints}).extrapolated.any()
+    predicted = lc.predict(result, trial.inside.readings)
+    off = np.column_stack([predicted.outputs[q] for q in outputs])
+    off -= with_errors(true, trial.inside.readings)
+    stated = np.einsum("nii->n", predicted.covariance).mean()
+    ratio = np.sqrt(np.square(off).sum(axis=1).mean() / stated)
+    assert 0.7 < ratio < 1.3
+    # and as much is stated of the result that was saved
+    result.save(tmp_path / "saved")
+    again = lc.read_result(tmp_path / "saved").predict(trial.inside.readings)
+    assert again.covariance == pytest.approx(predicted.covariance, rel=1e-6, abs=1e-18)
 
 
 def test_without_a_discrepancy_nothing_is_gained() -> None:
@@ -81,7 +121,7 @@ def test_without_a_discrepancy_nothing_is_gained() -> None:
         trial.mechanism, trial.readings, noise=trial.noise, method="least-squares"
     )
     at = result.solution.corrections, result.pose_equations(), result.spectrum.root
-    assert shared(result.problem, *at) is None
+    assert gains_by_waves(result.problem, *at) == ()
 
 
 @pytest.mark.parametrize("count", [12, 30])

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -33,7 +33,7 @@ from loopcal.mechanisms.model_error import disturbances
 from loopcal.mechanisms.outputs import POLAR
 from loopcal.small_samples import LearntCovariance, f_limit, t_quantile
 from loopcal.statistics.prediction import predict
-from loopcal.statistics.predictor import Predictor, by_parameters
+from loopcal.statistics.predictor import Predictor, by_further_waves, by_parameters
 
 # Poses on the way to the corrected joints, at which the controller's Jacobian is looked at.
 _BETWEEN = 5
@@ -299,8 +299,9 @@ def reached(predictor: Predictor, arms: Arms, q: Array, rounding: Array) -> Reac
     J, S = arms.machine.twists(q, predictor.names)
     S = S + _tool_turns(predictor.names, arms, q)
     total = predictor.covariance.through(S)
-    matrix = by_parameters(predictor, S)
-    loose = ~np.isfinite(matrix)
+    loose = ~np.isfinite(by_parameters(predictor, S))
+    waves = by_further_waves(predictor, S, S, dict(zip(arms.joints, q.T, strict=True)))
+    total = replace(total, matrix=total.matrix + waves)
     for part in (_by_readings(predictor, arms, J), _model_error(predictor, arms, len(q))):
         total = total.plus(part)
     none = np.zeros((len(total.slopes), *rounding.shape))

@@ -51,7 +51,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,7 +66,7 @@ from loopcal.estimation.problem.pose_equations import PoseEquations
 from loopcal.estimation.problem.problem import Problem
 from loopcal.estimation.products import rows_times
 from loopcal.lazy import cached_property
-from loopcal.mechanisms.structure.smooth import Smooth
+from loopcal.mechanisms.structure.smooth import FurtherWaves, Smooth
 from loopcal.small_samples import LearntCovariance
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ class LearntParameters:
     sensors; loadings: those of the terms, Z_j = loading^T loading; added: (k, k) what the
     covariance of z gains by it; shared: (k, k) what it gains by errors that neighbouring poses
     share, None without any; alike: the same of stated poses, or of joints seen by cameras, and how
-    that changes by one sd of it, along the last of `errors`.
+    that changes by one sd of it, along the last of `errors`; waves: those that `shared` has.
     """
 
     root: Array
@@ -111,6 +111,7 @@ class LearntParameters:
     added: Array
     shared: Array | None = None
     alike: PoseErrors | None = None
+    waves: tuple[FurtherWaves, ...] = ()
 
     @property
     def gained(self) -> Array:
@@ -211,11 +212,9 @@ def learnt_parameters(
     alike = pose_errors(*where) or joint_waves(*where)
     if alike is not None:  # the last error is that of what poses share
         errors, relative = (np.pad(one, ((0, 0), (0, 1))) for one in (errors, relative))
-    gains = (
-        shared(estimate.problem, at.corrections, equations, root),
-        None if estimate.prints is None else estimate.prints.gained(root),
-    )
-    shares = [one for one in gains if one is not None]
+    by_waves = gains_by_waves(estimate.problem, at.corrections, equations, root)
+    prints = None if estimate.prints is None else estimate.prints.gained(root)
+    shares = [one.matrix for one in by_waves] + ([] if prints is None else [prints])
     return LearntParameters(
         root,
         errors,
@@ -225,6 +224,7 @@ def learnt_parameters(
         2.0 * added,
         sum(shares[1:], shares[0]) if shares else None,
         alike,
+        tuple(one.waves for one in by_waves),
     )
 
 
@@ -294,64 +294,61 @@ _MOST = 60
 """Vectors k of the discrepancy and of the waves that follow, together."""
 
 
-def shared(
+class Gain(NamedTuple):
+    """waves: those that the discrepancy of a body leaves out; matrix: (k, k) what the covariance
+    of z gains by them, tau^2 B B^T + (sigma^2 - 1) H."""
+
+    waves: FurtherWaves
+    matrix: Array
+
+
+def gains_by_waves(
     problem: Problem, corrections: Array, equations: Sequence[PoseEquations], root: Array
-) -> Array | None:
-    """(k, k) what the covariance of z gains by waves that the discrepancy leaves out.
+) -> tuple[Gain, ...]:
+    """By the waves that the discrepancies leave out, by body.
 
     equations: of the poses where the fit ended; root: (n, k), dp = root z. None without a
     discrepancy or equations, where a loop joins two poses, and where no such waves are seen.
     """
     structure = problem.mechanism.structure
     if structure is None or any(v.first is not None for v in problem.mechanism.variables):
-        return None
-    each = (_shared(problem, corrections, equations, root, s) for s in structure.smooth.values())
-    gained = [one for one in each if one is not None]
-    return sum(gained[1:], gained[0]) if gained else None
+        return ()
+    each = (_of_body(problem, corrections, equations, root, s) for s in structure.smooth.values())
+    return tuple(one for one in each if one is not None)
 
 
-def _shared(
+def _of_body(
     problem: Problem,
     corrections: Array,
     equations: Sequence[PoseEquations],
     root: Array,
     smooth: Smooth,
-) -> Array | None:
-    """The part of one body."""
+) -> Gain | None:
     following = smooth.following(_MOST)
-    rows = _columns(problem, smooth)
-    if not following.harmonics or not rows or not equations:
+    axes = len(smooth.columns(problem.names))
+    if not following.harmonics or not axes or not equations:
         return None
     names = problem.mechanism.tape.quantities
     readings = {q: problem.readings[i] + corrections[i] for i, q in enumerate(names)}
-    included, further = (np.array(waves.features(readings)) for waves in (smooth, following))
+    further = np.array(following.features(readings))
     N, k = len(problem.poses), root.shape[1]
-    y, A, M = (
-        np.zeros((N, len(rows))),
-        np.zeros((N, len(rows), k)),
-        np.zeros((N, *2 * (len(rows),))),
-    )
+    y, A, M = np.zeros((N, axes)), np.zeros((N, axes, k)), np.zeros((N, axes, axes))
     square, count = 0.0, 0
     for block in equations:
-        F = included[:, block.poses].T
-        # what a shift of the body does: the squares of the known features sum to 1 in every pose
-        X = np.stack([np.einsum("brf,bf->br", block.D[:, :, row], F) for row in rows], axis=1)
+        some = {q: row[block.poses] for q, row in readings.items()}
+        X = smooth.shifted(block.D, some, problem.names).transpose(0, 2, 1)
         y[block.poses] = np.einsum("bqr,br->bq", X, block.E)
         A[block.poses] = rows_times(X @ block.D, root)
         M[block.poses] = X @ np.swapaxes(X, 1, 2)
         square, count = square + float(np.square(block.E).sum()), count + int(block.count.sum())
     informed = root / problem.prior_sd[:, None]
     H = np.eye(k) - informed.T @ informed
-    return _gained(_Sums.of(Seen(y, A, M), further.T), H, square, count)
-
-
-def _columns(problem: Problem, smooth: Smooth) -> list[list[int]]:
-    """The estimated coefficients of the discrepancy, by position, for each axis."""
-    names = [problem.mechanism.parameters.names[i] for i in problem.free]
-    place = {name: i for i, name in enumerate(names)}
-    axes = ("x", "y", "z", "rx", "ry", "rz")
-    wanted = [smooth.coefficients(axis) for axis in axes]
-    return [[place[n] for n in row] for row in wanted if all(n in place for n in row)]
+    sums = _Sums.of(Seen(y, A, M), further.T)
+    gained = _gained(sums, H, square, count)
+    if gained is None:
+        return None
+    waves = FurtherWaves(smooth.body, gained.sd, gained.sd * root @ sums.B)
+    return Gain(waves, gained.matrix)
 
 
 @dataclass(frozen=True)
@@ -374,8 +371,15 @@ class _Sums:
         return cls(B, ZZ.reshape(q * f, q * f), (shifts.y.T @ G).ravel())
 
 
-def _gained(sums: _Sums, H: Array, square: float, count: int) -> Array | None:
-    """(k, k) what the covariance of z gains; square: E^T E of so many equations."""
+class _Gained(NamedTuple):
+    """matrix: (k, k) what the covariance of z gains; sd: tau."""
+
+    matrix: Array
+    sd: float
+
+
+def _gained(sums: _Sums, H: Array, square: float, count: int) -> _Gained | None:
+    """square: E^T E of so many equations."""
     B = sums.B
     BB, HB = B.T @ B, H @ B
     C = sums.ZZ - BB
@@ -390,5 +394,4 @@ def _gained(sums: _Sums, H: Array, square: float, count: int) -> Array | None:
     if not (waves > 0.0 and white > 0.0):
         return None
     # P + H = 1 holds H at variance 1 already, so only the difference is gained.
-    gain: Array = waves * (B @ B.T) + (white - 1.0) * H
-    return gain
+    return _Gained(waves * (B @ B.T) + (white - 1.0) * H, math.sqrt(waves))

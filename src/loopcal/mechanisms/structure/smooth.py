@@ -17,12 +17,13 @@ from __future__ import annotations
 import heapq
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from loopcal.arrays import Array
 from loopcal.mechanisms.frame import Values
 
 DISCREPANCY = "discrepancy"
@@ -90,6 +91,23 @@ class Smooth:
         """Names of the parameters of the shift along an axis x, y, z, or of the turn rx, ry, rz."""
         return ["_".join(filter(None, (DISCREPANCY, self.body, axis, p))) for p in self.parts]
 
+    def columns(self, names: Sequence[str]) -> list[list[int]]:
+        """Positions among these names of the coefficients of each axis that has them all."""
+        place = {name: i for i, name in enumerate(names)}
+        each = [self.coefficients(axis) for axis in ("x", "y", "z", "rx", "ry", "rz")]
+        return [[place[n] for n in row] for row in each if all(n in place for n in row)]
+
+    def shifted(self, by_parameter: Array, readings: Values, names: Sequence[str]) -> Array:
+        """What a shift of the body along each axis does, (N, o, a), from what its coefficients do.
+
+        by_parameter: (N, o, n) derivatives by parameters of these names, at readings (N,). The
+        squares of the features sum to 1, so that X = sum_k S_k a_k is what the shift itself does.
+        """
+        F = np.array(self.features(readings)).T
+        rows = self.columns(names)
+        each = [np.einsum("bof,bf->bo", by_parameter[:, :, row], F) for row in rows]
+        return np.stack(each, axis=-1) if each else np.zeros((*by_parameter.shape[:2], 0))
+
     @property
     def parts(self) -> list[str]:
         """What the features are called, in their order: cos1, sin1, cos2, ..."""
@@ -108,6 +126,66 @@ class Smooth:
                     phase = phase + (order * factor) * x[joint]
             values += [harmonic.amplitude * np.cos(phase), harmonic.amplitude * np.sin(phase)]
         return values
+
+
+class WaveErrors(NamedTuple):
+    """What waves of one sd that a fit leaves out do, (N, o, w): taken, S F, by the parameters that
+    took them up; left, Z - S F, all in all."""
+
+    taken: Array
+    left: Array
+
+
+@dataclass(frozen=True, eq=False)
+class FurtherWaves:
+    """Waves that the discrepancy of a body leaves out, as errors that neighbouring poses share.
+
+    sd: of each amplitude [m]; moved: F (n, w), what amplitudes of one sd do to the parameters of
+    the fit.
+    """
+
+    body: str
+    sd: float
+    moved: Array
+
+    def through(self, M: Array) -> FurtherWaves:
+        """Of other parameters, which change by M (m, n) with these."""
+        return replace(self, moved=M @ self.moved)
+
+    def errors(
+        self, smooth: Smooth, S: Array, slopes: Array, readings: Values, names: Sequence[str]
+    ) -> WaveErrors:
+        """smooth: the waves that the fit has; S: (N, o, n) what parameters of these names do alone,
+        and slopes with what follows them."""
+        X = smooth.shifted(S, readings, names)
+        w = self.moved.shape[1]
+        following = smooth.following(len(smooth.harmonics) + w // (2 * X.shape[2]))
+        G = self.sd * np.array(following.features(readings)).T
+        taken = slopes @ self.moved
+        return WaveErrors(taken, (X[:, :, :, None] * G[:, None, None]).reshape(taken.shape) - taken)
+
+
+def scaled(waves: Sequence[FurtherWaves], factor: float) -> tuple[FurtherWaves, ...]:
+    """With variances times a factor."""
+    s = math.sqrt(factor)
+    return tuple(replace(one, sd=s * one.sd, moved=s * one.moved) for one in waves)
+
+
+def wave_errors(
+    waves: Sequence[FurtherWaves],
+    smooths: Iterable[Smooth],
+    S: Array,
+    slopes: Array,
+    readings: Values,
+    names: Sequence[str],
+) -> WaveErrors:
+    """Of all bodies, side by side."""
+    none = np.zeros((*S.shape[:2], 0))
+    each = [WaveErrors(none, none)]
+    for smooth, one in itertools.product(smooths, waves):
+        if smooth.body == one.body:
+            each.append(one.errors(smooth, S, slopes, readings, names))
+    return WaveErrors(*(np.concatenate(parts, axis=2) for parts in zip(*each, strict=True)))
 
 
 def vectors_for(poses: int) -> int:
