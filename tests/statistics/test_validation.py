@@ -92,6 +92,17 @@ def test_a_passive_sensor_that_jitters_and_a_time_do_not_split_repeats() -> None
     assert len(set(repeated(coupler, data).tolist())) > 100
 
 
+def test_one_repeated_pose_among_poses_that_stand_apart_is_seen_and_loads_what_it_needs() -> None:
+    rng = np.random.default_rng(8)
+    joints = rng.uniform(-2.0, 2.0, (2, 300))
+    alone = repeated(ARM.truth, lc.Dataset.from_arrays({"phi2": joints[0], "phi3": joints[1]}))
+    assert (alone == np.arange(300)).all()
+    joints[:, 17] = joints[:, 211] + 3e-4 * np.array([1.0, -1.0])  # within 1e-4 of the range
+    twice = repeated(ARM.truth, lc.Dataset.from_arrays({"phi2": joints[0], "phi3": joints[1]}))
+    assert len(set(twice.tolist())) == 299
+    assert twice[17] == twice[211]
+
+
 def test_a_dense_path_is_cut_where_its_noise_ends_not_chained_into_one() -> None:
     path = lc.Dataset.from_arrays({"phi2": np.linspace(0, 1, 2000), "phi3": np.zeros(2000)})
     groups = repeated(ARM.truth, path, {"phi2": 1e-3})

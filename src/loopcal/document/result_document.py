@@ -201,7 +201,6 @@ class ResultDocument:
         "extra": "forbid",
         "strict": True,
         "allow_inf_nan": False,
-        "use_attribute_docstrings": True,
     }
 
     schema: Literal[3]

@@ -38,6 +38,10 @@ NOISY, MOST = 4.0, 0.01
 # Chosen, not derived: a log of a machine at rest has as many neighbours of each pose as poses.
 _ASKED, _AT_ONCE = 4_096, 64
 """Poses whose neighbours are sought together."""
+# Chosen, not derived: as many comparisons of all rows cost less than loading the tree.
+_NEIGHBOURS = 50
+_WITHIN = 1.0 + 1e-12
+"""In units of what is the same: rounding does not part two poses."""
 _TRIED, _AGAIN = 64, 0.06
 """Poses that are asked for whether they are there again, and the share of them that has to be."""
 
@@ -166,6 +170,8 @@ def repeated(mechanism: Mechanism, data: Dataset, sds: Mapping[str, float] | Non
         return np.arange(len(data))
     if not points.shape[1]:
         return np.zeros(len(data), dtype=np.intp)
+    if _none_alike(points):
+        return np.arange(len(data))
     from scipy.spatial import KDTree
 
     # the first pose of a group is its centre: dense paths are cut, not chained into one
@@ -174,7 +180,7 @@ def repeated(mechanism: Mechanism, data: Dataset, sds: Mapping[str, float] | Non
     tree = KDTree(points)
     for begin in range(0, len(data), _ASKED):
         rows = begin + np.flatnonzero(group[begin : begin + _ASKED] < 0)
-        nearest = tree.query(points[rows], k=2, p=np.inf, distance_upper_bound=1.0 + 1e-12)[0]
+        nearest = tree.query(points[rows], k=2, p=np.inf, distance_upper_bound=_WITHIN)[0]
         alone = np.isinf(nearest[:, 1])  # as most poses are, where all others need not be sought
         group[rows[alone]] = rows[alone]
         others = rows[~alone]
@@ -186,6 +192,22 @@ def repeated(mechanism: Mechanism, data: Dataset, sds: Mapping[str, float] | Non
                 if group[i] < 0:
                     group[[j for j in near if group[j] < 0]] = i
     return np.unique(group, return_inverse=True)[1]
+
+
+def _none_alike(points: Array) -> bool:
+    """Whether no two of these points (N, n) are within 1 of each other by every coordinate; False
+    where they are too dense to say without a tree."""
+    # Seeded; points that are alike are neighbours along any direction.
+    direction = np.random.default_rng(0).uniform(0.5, 1.0, points.shape[1:])
+    order = np.argsort(points @ direction)
+    points, along = points[order], (points @ direction)[order]
+    for step in range(1, _NEIGHBOURS):
+        near = np.flatnonzero(along[step:] - along[:-step] <= _WITHIN * direction.sum())
+        if not near.size:
+            return True
+        if (np.abs(points[near + step] - points[near]) <= _WITHIN).all(axis=1).any():
+            return False
+    return False
 
 
 def may_repeat(mechanism: Mechanism, data: Dataset, sds: Mapping[str, float]) -> bool:

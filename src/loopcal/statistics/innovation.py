@@ -220,7 +220,7 @@ class Linearised:
         """(m,) degrees of freedom of the variance of a change along each column U (R, m)."""
         U = U - self.F @ (self.solve @ U)
         along, size = self._along(U), np.square(self._halved(U)).sum(axis=0)
-        changes = np.einsum("rm,ars,sm->am", along, self.slopes, along)
+        changes = (along * (self.slopes @ along)).sum(axis=1)
         changes = changes / np.where(size > 0.0, size, 1.0)
         return _freedoms(np.square(changes).sum(axis=0), self.noise)
 
@@ -241,7 +241,7 @@ class Linearised:
         """Of F, V (r, m) the axes A^T S^-1/2; further ones have the noise alone."""
         if count <= 0 or (not len(self.slopes) and np.isinf(self.noise)):
             return None
-        changes = np.einsum("ri,ars,si->ai", V, self.slopes, V)
+        changes = (V * (self.slopes @ V)).sum(axis=1)
         nu = _freedoms(np.square(changes).sum(axis=0), self.noise)[:count]
         # nu / (nu - 2), written so that it is 1 for infinite nu.
         means = 1.0 / (1.0 - 2.0 / np.maximum(nu, _FEWEST))

@@ -22,9 +22,9 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binom, chi2
 
 from loopcal.arrays import Array
+from loopcal.chi_squared import tail
 from loopcal.errors import InputError, unknown_name
 from loopcal.estimation.noise.search import Bounds, search
 from loopcal.estimation.noise.term_scales import Sums, TermFit, evaluate, term_system
@@ -466,9 +466,9 @@ def _scales(linear: Linearised, groups: Sequence[Array]) -> Array:
     still = least(_NONE, changed=False)
     best = min((least(begin, changed=True) for begin in _BEGINS), key=lambda at: at.criterion)
     # Unchanged, a scale ends at zero in half of the draws (Self and Liang 1987).
-    k = np.arange(g + 1)
-    gain = still.criterion - best.criterion
-    if binom.pmf(k, g, 0.5) @ chi2.sf(gain, np.maximum(k, 1e-9)) > _UNLIKELY:
+    gain = max(float(still.criterion - best.criterion), 0.0)
+    by_chance = [math.comb(g, k) * (tail(gain, k) if k else gain <= 0.0) for k in range(g + 1)]
+    if sum(by_chance) > _UNLIKELY * 2.0**g:
         return np.zeros(g)
     return np.where(best.scales > 10.0 * _NONE, best.scales, 0.0)
 
