@@ -53,7 +53,9 @@ from loopcal.estimation.solve.sweep import Sweeper
 from loopcal.estimation.steps import begun_near
 from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
+from loopcal.mechanisms.structure.smooth import wave_errors
 from loopcal.small_samples import LearntCovariance, f_limit
+from loopcal.statistics.calibrated import further_waves
 from loopcal.statistics.printed import Offsets
 
 if TYPE_CHECKING:
@@ -179,6 +181,12 @@ def predictive(
     if drifting is not None and run is not None:
         shared = SameRun.of(fit, problem, held.corrections, drifting, run)
     learnt = () if shared is not None else fit.learnt_noise
+    waves = () if shared is not None or drifting is not None else further_waves(fit)
+    structure = problem.mechanism.structure
+    smooths = [] if structure is None else structure.smooth.values()
+    x = dict(
+        zip(problem.mechanism.tape.quantities, problem.readings + held.corrections, strict=True)
+    )
     images, unit_variance = fit.image_errors, 0.0
     if images is None:
         model = linear_model(problem, problem.start, held.corrections, [c for c, _ in learnt])
@@ -198,7 +206,7 @@ def predictive(
     loops = np.zeros(len(problem.poses), dtype=np.intp)
     denominator = np.full(len(problem.poses), math.inf)
     for (_, poses), block in zip(problem.blocks(), model.blocks, strict=True):
-        r, beside = block.e.shape[1], np.zeros(())
+        r, beside, alone = block.e.shape[1], np.zeros(()), block.J
         W = block.fixed + block.G @ np.swapaxes(block.G, -1, -2) + unit_variance * np.eye(r)
         if offsets is not None:
             JR = rows_times(block.J, offsets.root)
@@ -223,6 +231,10 @@ def predictive(
                     G = block.G[:, :, block.owner == j]
                     slopes += np.multiply.outer(relative, G @ np.swapaxes(G, -1, -2))
             total = covariance.plus(LearntCovariance(W + beside, W + beside, slopes))
+            if waves:
+                at = {q: row[poses] for q, row in x.items()}
+                errors = wave_errors(waves, smooths, alone, block.J, at, fit.estimated)
+                total = replace(total, matrix=total.matrix + errors.changed)
         densities = _densities(block, W, total.matrix, free, limit / scale)
         if densities is None:
             return None

@@ -438,9 +438,7 @@ def by_further_waves(
     if structure is None or not waves:
         return np.zeros((len(S), 1, 1))
     smooths = structure.smooth.values()
-    taken, left = wave_errors(waves, smooths, S, slopes, readings, calibrated.names)
-    changed = left @ left.transpose(0, 2, 1) - taken @ taken.transpose(0, 2, 1)
-    return np.asarray(changed)
+    return wave_errors(waves, smooths, S, slopes, readings, calibrated.names).changed
 
 
 def _with_prints(

@@ -135,6 +135,12 @@ class WaveErrors(NamedTuple):
     taken: Array
     left: Array
 
+    @property
+    def changed(self) -> Array:
+        """(N, o, o) by how much the covariance of what is left exceeds that of what is taken."""
+        gained = self.left @ self.left.transpose(0, 2, 1)
+        return np.asarray(gained - self.taken @ self.taken.transpose(0, 2, 1))
+
 
 @dataclass(frozen=True, eq=False)
 class FurtherWaves:
