@@ -221,6 +221,7 @@ def test_the_document_holds_every_candidate() -> None:
         (Candidate("the load", "load", "rad/m"), "conditions-first", "or else the load changed"),
         (Candidate("q3", "zero", "rad"), "re-master", "or else the zero of q3 changed"),
         (Candidate("offset_2", "angle", "rad"), "re-master", "± 0.0012 deg"),
+        (Candidate("eye_f", "lens", "px"), "re-master", "or else eye_f changed"),
     ],
 )
 def test_a_change_is_named_with_what_asks_for_another_remedy(
