@@ -7,6 +7,8 @@ import pytest
 
 import loopcal as lc
 from loopcal.statistics.change_points import find_shifts
+from tests.mechanisms import test_camera
+from tests.mechanisms.test_camera import NEAR, hands, mechanism, pixels, readings
 
 POINTS = {str(i): (0.04 * (i % 4) - 0.06, 0.04 * (i // 4) - 0.04, 0.0) for i in range(12)}
 PLACE = {"eye_x": 0.1, "eye_z": 1.1, "eye_ry": 0.1, "eye_rx": 3.0}
@@ -35,3 +37,33 @@ def test_a_change_of_focus_is_no_move_of_the_camera(name: str, size: float, move
     change = first.changes[name]
     assert abs(change.size - size) < 4.0 * change.sd + 0.1 * size
     assert ("the focal length eye_f changed" in first.what) == (moved == "lens")
+
+
+@pytest.mark.parametrize("turned", [0.0, 0.004])
+def test_of_a_camera_on_a_hand_that_never_turns_the_turn_alone_is_named(
+    turned: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where it sits shows only where the board stands, and `verify` ended in an IndexError."""
+    x, y, z, rz, ry, rx = NEAR
+
+    def day(seed: int, count: int) -> lc.Dataset:
+        T = hands(count, seed)
+        T[:, :3, :3] = np.eye(3)
+        uv = pixels(T, on="body")
+        noise = np.random.default_rng(seed).normal(0.0, 0.1, uv.shape)
+        return lc.Dataset.from_arrays(readings(T, uv + noise))
+
+    made = mechanism("body")
+    held = made.with_parameters(made.parameters.with_prior({"eye_[xyz]": 0.02}))
+    noise = lc.Noise({"[xyz]": 1e-5, "w?": 1e-5, "eye": 0.1})
+    result = lc.calibrate(held, day(64300, 16), noise=noise, method="implicit-loop")
+    monkeypatch.setattr(test_camera, "NEAR", (x, y, z, rz + turned, ry, rx))
+    done = lc.verify(result, day(64301, 8))
+    assert done.changes is not None
+    assert done.verdict["consistent"].passed == (not turned)
+    assert [change.name for change in done.changes.found] == (["eye"] if turned else [])
+    for change in done.changes.found:
+        assert change.unit == "rad"
+        assert change.low < turned < change.high
+        assert "eye turned by" in change.words
+        assert {"eye_x", "eye_y", "eye_z"} <= {*change.hidden}

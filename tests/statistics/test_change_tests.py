@@ -20,11 +20,12 @@ def test_a_large_change_must_be_seen_with_the_stated_power(
     size: float, sds: float, far: bool
 ) -> None:
     """A tool was named with 21 mm, 4 sds, where 50 mm are seen with 90 %."""
-    causes = SimpleNamespace(causes=(Possible("mounting", ("tool_z",)),), unit=lambda _: "m")
+    causes = SimpleNamespace(causes=(Possible("mounting", ("tool_z",)),))
     system = cast(
         Any,
         SimpleNamespace(
             causes=causes,
+            unit=lambda _: "m",
             scale=1.0,
             _size=lambda *_: (size, size / sds, np.zeros(1)),
             _reach=lambda *_: 5.0,

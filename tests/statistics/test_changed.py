@@ -221,6 +221,7 @@ def test_the_document_holds_every_candidate() -> None:
         (Candidate("the load", "load", "rad/m"), "conditions-first", "or else the load changed"),
         (Candidate("q3", "zero", "rad"), "re-master", "or else the zero of q3 changed"),
         (Candidate("offset_2", "angle", "rad"), "re-master", "± 0.0012 deg"),
+        (Candidate("eye_f", "lens", "px"), "re-master", "or else eye_f changed"),
     ],
 )
 def test_a_change_is_named_with_what_asks_for_another_remedy(
@@ -364,3 +365,18 @@ def test_of_two_changes_that_do_the_same_one_is_kept(
     """A load and a zero that each other made superfluous were both named, the zero as moved by
     -0.0003 ± 0.0081 degrees."""
     assert Explaining(*gains).kept(tuple(range(len(gains)))) == kept
+
+
+@pytest.mark.parametrize("several", [False, True])
+def test_print_and_lens_at_once_may_be_the_poses_that_a_robot_states(several: bool) -> None:
+    """An axis of a gantry that was 500 ppm longer was a smaller print and another focus."""
+    scale = Change("board_scale", "print", "1", -3e-4, 5e-5, -4e-4, -2e-4, 1e-7, ())
+    focus = Change("eye_f", "lens", "px", 0.6, 0.1, 0.4, 0.8, 1e-4, ())
+    found = (scale, focus) if several else (scale,)
+    what = WhatChanged("calibrate-anew", found, (), Innovation(40.0, 20, None, 1e-9), 1.0, 0.5)
+    stated = SimpleNamespace(
+        flange=True, sound=None, innovation=what.test, _statistic=lambda: "chi-squared 40"
+    )
+    one = lc.Verification._changed(cast(Any, stated), what)
+    assert one.code == "images-changed"
+    assert ("the robot states other poses" in str(one)) == several

@@ -187,14 +187,6 @@ class _Causes:
         units = np.array([unit for one in causes for unit in one.part_units(problem)], dtype=str)
         return cls(tuple(causes), names, W, owner, units)
 
-    def unit(self, i: int) -> str:
-        """That in which a cause is stated: of its first direction."""
-        return str(self.units[self.rows(i)[0]])
-
-    def in_unit(self, i: int, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Which of these directions of a cause are in its unit."""
-        return np.asarray(self.units[rows] == self.unit(i))
-
     def columns(self, placement: Replaced) -> Array:
         """(R, m)"""
         return np.asarray(placement.columns(self.names) @ self.W)
@@ -203,10 +195,6 @@ class _Causes:
         """By name [SI], of changes t (m,)."""
         moved = self.W @ t
         return {self.names[i]: float(moved[i]) for i in np.flatnonzero(moved).tolist()}
-
-    def candidate(self, i: int) -> Candidate:
-        """As it is reported."""
-        return Candidate(*self.causes[i].called, self.unit(i), label=self.causes[i].described)
 
     def joined(self, chosen: Sequence[int], j: int) -> tuple[int, ...]:
         """With a further cause, which may be one of them in more parts."""
@@ -285,6 +273,19 @@ class _System:
         """The visible directions of these causes."""
         every = np.concatenate([np.zeros(0, dtype=np.intp), *map(self.causes.rows, chosen)])
         return np.asarray(every[self.visible[every]])
+
+    def unit(self, i: int) -> str:
+        """That in which a cause is stated: of its first direction that these poses show."""
+        return str(self.causes.units[[*self._rows(i), *self.causes.rows(i)][0]])
+
+    def in_unit(self, i: int, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Which of these directions of a cause are in its unit."""
+        return np.asarray(self.causes.units[rows] == self.unit(i))
+
+    def candidate(self, i: int) -> Candidate:
+        """As it is reported."""
+        one = self.causes.causes[i]
+        return Candidate(*one.called, self.unit(i), label=one.described)
 
     def columns(self, chosen: Sequence[int]) -> Array:
         """(R, d) of these causes, in the equations as they are linearised."""
@@ -443,7 +444,7 @@ class _System:
             size, cause = abs(self._size(i, chosen)[0]), self.causes.causes[i]
             part = self.beside(i, [j for j in chosen if j != i])
             seen = part.gain >= self.scale * self._reach(i, part.rank) ** 2
-            if size > cause.most or (size > cause.usual(self.causes.unit(i)) and not seen):
+            if size > cause.most or (size > cause.usual(self.unit(i)) and not seen):
                 far.append(i)
         return tuple(far)
 
@@ -474,7 +475,7 @@ class _System:
         are linear, and of rivals."""
         changes = []
         for j in chosen:
-            one, cause = self.causes.candidate(j), self.causes.causes[j]
+            one, cause = self.candidate(j), self.causes.causes[j]
             size, sd, t = self._size(j, chosen)
             if one.kind == "expansion":
                 size, sd = self._with_tools(j, chosen)
@@ -487,7 +488,8 @@ class _System:
             hidden: tuple[str, ...] = ()
             if one.kind in (*PLACED, "lens") and len(cause.names) > 1 and not cause.parts:
                 rows = self.causes.rows(j)
-                names = [cause.names[k] for k in np.flatnonzero(self.causes.in_unit(j, rows))]
+                among = np.flatnonzero(self.in_unit(j, rows) | ~self.visible[rows])
+                names = [cause.names[k] for k in among]
                 parts = self.causes.changes(t)
                 hidden = tuple(name for name in names if name not in parts)
             named, span = (one.name, one.kind, one.unit), (size, sd, size - half, size + half)
@@ -511,7 +513,7 @@ class _System:
             (at,) = part
             t[rows[at]] = together.size[at]
             return float(together.size[at]), float(np.sqrt(covariance[at, at])), t
-        part = part[self.causes.in_unit(j, rows[part]) ^ turn]
+        part = part[self.in_unit(j, rows[part]) ^ turn]
         sizes = np.abs(together.size[part])
         halves = t_quantile(0.95, self._freedom(j)) * np.sqrt(np.diag(covariance)[part])
         if (sure := halves <= sizes).any():
@@ -548,8 +550,7 @@ class _System:
         return size, float(np.sqrt(covariance[at, at]))
 
     def _alike(self, chosen: Sequence[int], j: int, rivals: Sequence[int]) -> tuple[Candidate, ...]:
-        """The causes in whose presence j adds nothing significant, and that are about as simple;
-        and these rivals."""
+        """About as simple causes beside which j adds nothing significant; and these rivals."""
         others, alike = [i for i in chosen if i != j], []
         cost = len(self._rows(j)) * self._charge - self.beside(j, others).gain / self.scale
         for k in range(len(self.causes.causes)):
@@ -564,16 +565,15 @@ class _System:
                 possible_size = np.abs(part.size).max(initial=0.0) <= self.causes.causes[k].most
                 same = added.gain <= limit and price < cost + _ALIKE and bool(possible_size)
             if same:
-                alike.append(self.causes.candidate(k))
+                alike.append(self.candidate(k))
         return tuple(dict.fromkeys(alike))
 
     def smallest(self, i: int) -> float:
-        """The smallest change that is seen with the stated power, in the direction that these poses
-        show worst."""
+        """The smallest that is seen with the stated power, in the direction shown worst."""
         part = self.beside(i, ())
         if not part.rank:
             return math.inf
-        alike = self.causes.in_unit(i, self._rows(i))
+        alike = self.in_unit(i, self._rows(i))
         worst = np.linalg.eigvalsh(part.covariance[np.ix_(alike, alike)])[-1]
         return float(self._reach(i, part.rank) * np.sqrt(self.scale * worst))
 
@@ -581,7 +581,7 @@ class _System:
         """All causes, with the smallest change that is seen with the stated power."""
         tests, tested = self.tests(()), dict[tuple[str, str], Candidate]()
         for i in range(len(self.causes.causes)):
-            one = self.causes.candidate(i)
+            one = self.candidate(i)
             if self._rows(i).size and (p := tests.get(int(self.group[i]))) is not None:
                 one = replace(one, p_value=p, smallest=self.smallest(i))
             tested.setdefault(self.causes.causes[i].called, one)

@@ -167,7 +167,8 @@ class Change:
             sure = significant(50.0 * (self.high - self.low), 2)
             delay = DelayEntry(WAYS[self.name] > 0, -self.value, self.sd, self.p_value)
             return delay.words(f" ± {sure} %")
-        verb = _VERBS.get(self.kind, "changed")
+        turned = self.kind in PLACED and self.unit == "rad"
+        verb = "turned" if turned else _VERBS.get(self.kind, "changed")
         if self.kind == "load" and self.unit != "kg":
             return f"{self.where} {verb}"
         half = 0.5 * (self.high - self.low)
@@ -190,7 +191,8 @@ class Change:
     @property
     def among(self) -> str:
         """The change in words, with the others that explain it and ask for another remedy."""
-        names = [one.words for one in self.alike if one.kind in (*_VERBS, *CONDITIONAL)]
+        named = (*_VERBS, *CONDITIONAL, *_OF_IMAGES)
+        names = [one.words for one in self.alike if one.kind in named]
         more = len(names) - _MOST_NAMED
         names = names[:_MOST_NAMED] + ([f"one of {more} more"] if more > 0 else [])
         *others, last = names or [""]

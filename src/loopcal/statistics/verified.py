@@ -148,7 +148,9 @@ class Verification:
         words = "; ".join(change.among for change in changes.found) or self._statistic()
         if changes.found and self.sound is not None and self.sound.code == "sds-too-small":
             words += _OR_ELSE
-        if self.flange and changes.code in _PLACES:
+        # A slide of another scale looks like a print and a lens that changed at once.
+        several = changes.code == "images-changed" and len(changes.found) > 1
+        if self.flange and (changes.code in _PLACES or several):
             words += _OR_POSES
         whole = 0.0 if self.innovation.p_value is None else self.innovation.p_value
         p_value = min(whole, *(change.p_value for change in changes.found), 1.0)

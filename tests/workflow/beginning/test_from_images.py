@@ -73,6 +73,27 @@ def test_a_folder_becomes_a_project_that_finds_the_lens(tmp_path: Path, robot: b
         assert (robot_code if robot else "unknown-accuracy") in codes
 
 
+@pytest.mark.parametrize("turns", [False, True])
+def test_positions_alone_are_those_of_a_hand_that_never_turns(tmp_path: Path, turns: bool) -> None:
+    """As of a gantry. Where the boards turn in the images, the cameras alone are calibrated."""
+    T = hands(16, 64320)
+    if not turns:
+        T[:, :3, :3] = np.eye(3)
+    noise = np.random.default_rng(6).normal(0.0, 0.1, (len(POINTS), 2, len(T)))
+    folder = tmp_path / "images"
+    folder.mkdir()
+    written(folder, pixels(T, on="base") + noise, T)
+    rows = [line.split(",")[:4] for line in (folder / "robot.csv").read_text("utf-8").splitlines()]
+    (folder / "robot.csv").write_text("\n".join(map(",".join, rows)) + "\n", "utf-8")
+    project = lc.init(folder, out=tmp_path / "calibration")
+    kind = project.mechanism.description
+    assert kind is not None
+    assert kind.get("read", True) != turns
+    assert ("and no turns: it never turns" in str(project)) != turns
+    assert ("states no pose of a flange" in str(project)) == turns
+    assert ("the hand is turned alike" in str(project)) != turns
+
+
 @pytest.mark.parametrize("sized", [False, True])
 def test_points_of_a_body_are_told_from_its_place(sized: bool) -> None:
     """No small motion of the body, nor where `sized` a growth, leaves what is held at rest."""

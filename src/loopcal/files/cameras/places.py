@@ -111,6 +111,22 @@ def read_places(path: str | Path) -> PlaceTable:
     return PlaceTable(names, np.array([T for _, T in every]), path.name, counted=counted)
 
 
+def read_positions(path: str | Path) -> PlaceTable:
+    """Places of a hand that never turns, of a table that states x, y, z and no turns, as a gantry
+    has them. Raises InputError for another file."""
+    source = sources_of(Path(path), 0)[0]
+    by = {f.stem: f for f in source.fields if not f.is_time}
+    if by.keys() != {*"xyz"}:
+        raise InputError("no positions alone", code="missing-column", place=source.name)
+    T = np.tile(np.eye(4), (len(source), 1, 1))
+    T[:, :3, 3] = np.array([unit(by[a].unit or "m").factor * by[a].values for a in "xyz"]).T
+    names, counted = row_names(source)
+    if not np.isfinite(T).all():
+        raise InputError("a position is not complete", code="missing-reading", place=source.name)
+    measured = all(f.unit for f in by.values())
+    return PlaceTable(names, T, source.name, counted=counted, measured=measured)
+
+
 def _times(document: Part) -> list[str]:
     """When the items of a list were taken [s], as ROS and others state it; empty where not all
     state it, or two state the same."""

@@ -124,7 +124,10 @@ def from_images(
             return made
         describe = None
     files, still = without_still(files)
-    project, turned = understood(files, hand_of(files.poses, describe, joints, folder))
+    hand = hand_of(files.poses, describe, joints, folder)
+    if hand.unturned and not _explained(files, hand):
+        hand = hand_of(files.poses, describe, joints, folder, unturned=False)
+    project, turned = understood(files, hand)
     remarks = (
         *files.remarks,
         *still,
@@ -135,6 +138,15 @@ def from_images(
         *(f.sentence for f in project.begun.facts if describe is None or f.code != "board-pitch"),
     )
     return FromImages(_made(project, remarks), project)
+
+
+def _explained(files: Files, hand: Hand) -> bool:
+    """Whether the images are those of this hand."""
+    try:
+        project, _ = understood(files, hand)
+    except InputError:
+        return False
+    return FromImages(_made(project, ()), project).share < PLAUSIBLE
 
 
 def _by_joints(

@@ -18,7 +18,7 @@ from loopcal.estimation.cameras.start import (
     CameraStart,
 )
 from loopcal.files.cameras.folder import Files
-from loopcal.files.cameras.places import PlaceTable, read_places, row_names
+from loopcal.files.cameras.places import PlaceTable, read_places, read_positions, row_names
 from loopcal.files.machines.mechanism_file import mechanism_from_data
 from loopcal.files.recognition.fields import Field, in_si, taken_in
 from loopcal.files.recognition.joint_sets import joint_columns, joint_sets
@@ -40,7 +40,8 @@ class Hand:
     """The body that moves: its columns of readings by quantity [SI], and T_base_flange (N, 4, 4)
     by pose; ways: these by what their turns may mean, in words; table: of the mechanism without
     instruments; noise: of its readings; counted: whether the poses have no names of their own;
-    measured: whether the unit of positions is stated."""
+    measured: whether the unit of positions is stated; unturned: whether no file states turns, so
+    that the hand is taken never to turn."""
 
     poses: tuple[str, ...]
     table: Mapping[str, Any]
@@ -52,6 +53,7 @@ class Hand:
     ways: Mapping[str, Array] = field(default_factory=dict)
     counted: bool = False
     measured: bool = False
+    unturned: bool = False
 
     def turned(self, way: str) -> Hand:
         """With its turns understood in this way."""
@@ -100,28 +102,40 @@ class Hand:
 
 
 def hand_of(
-    poses: Sequence[Path], describe: Describe | None, joints: str | None, folder: Path
+    poses: Sequence[Path],
+    describe: Describe | None,
+    joints: str | None,
+    folder: Path,
+    *,
+    unturned: bool = True,
 ) -> Hand:
-    """The robot's part of the files: its tables of poses or joints."""
+    """The robot's part of the files: its tables of poses or joints; unturned: whether positions
+    alone may be those of a hand that never turns."""
     if describe is not None:
         return _joints(poses, describe, joints, folder)
     stated = _stated(poses)
+    alone = stated is None and unturned
+    if alone:
+        stated = next(_tables(poses, read_positions), None)
     if stated is not None:
         noise = {
             "[xyz]": {"sd": 1e3 * PLACE, "unit": "mm", "estimate": "group"},
             "w[xyz]": {"sd": 1e3 * TURN, "unit": "mrad", "estimate": "group"},
         }
         words = f"{stated.file} states the pose of the flange"
+        if alone:
+            words = f"{stated.file} states where the flange is, and no turns: it never turns"
         return Hand(
             stated.name,
             {"type": "free-body"},
             flange_columns(stated.T),
             stated.T,
             noise,
-            (words, *_left_out(stated, _tables(poses))),
+            (words, *(() if alone else _left_out(stated, [*_tables(poses)]))),
             ways=stated.ways,
             counted=stated.counted,
             measured=stated.measured,
+            unturned=alone,
         )
     words = "no file states poses of a robot, so the cameras alone are calibrated"
     if poses:
@@ -141,7 +155,7 @@ def states_flange(files: Files) -> bool:
 def _stated(paths: Sequence[Path]) -> PlaceTable | None:
     """The poses of the flange: of the file with most of them, or of files with one pose each, which
     are named as these."""
-    tables = _tables(paths)
+    tables = [*_tables(paths)]
     most = max(tables, key=lambda table: len(table.name), default=None)
     if most is None or len(most.name) > 1 or len(tables) == 1:
         return most
@@ -151,12 +165,12 @@ def _stated(paths: Sequence[Path]) -> PlaceTable | None:
     return PlaceTable(names, T, f"each of {len(tables)} files")
 
 
-def _tables(paths: Sequence[Path]) -> list[PlaceTable]:
-    tables: list[PlaceTable] = []
+def _tables(
+    paths: Sequence[Path], read: Callable[[Path], PlaceTable] = read_places
+) -> Iterator[PlaceTable]:
     for path in paths:
         with suppress(InputError):
-            tables.append(read_places(path))
-    return tables
+            yield read(path)
 
 
 def _left_out(stated: PlaceTable, tables: Sequence[PlaceTable]) -> Iterator[str]:

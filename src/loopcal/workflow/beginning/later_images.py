@@ -21,6 +21,7 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.instruments.camera import cameras_of
 from loopcal.mechanisms.mechanism import Mechanism
+from loopcal.mechanisms.parallel.free_body import BEGIN
 from loopcal.workflow.beginning.from_images import named, understood
 from loopcal.workflow.beginning.images_hand import Hand, hand_of
 from loopcal.workflow.beginning.images_project import doubts, word
@@ -118,7 +119,10 @@ def later_poses(
 
 
 def _hand(poses: Sequence[Path], mechanism: Mechanism) -> Hand:
-    return hand_of(poses, (lambda _: _bare(mechanism)) if mechanism.joints else None, None, Path())
+    describe = (lambda _: _bare(mechanism)) if mechanism.joints else None
+    # Cameras that were calibrated alone have no hand whose positions were read.
+    read = {*BEGIN}.isdisjoint(mechanism.pose_constants)
+    return hand_of(poses, describe, None, Path(), unturned=read)
 
 
 def _bare(mechanism: Mechanism) -> Robot:
