@@ -161,8 +161,8 @@ class Mechanism:
         The function is traced once (see `loopcal.expressions.trace`); x has the quantities and
         known constants by name in SI units, p the parameters. quantities and pose_constants map
         names to units, parameters to (nominal, unit); outputs name the quantities that the loops
-        predict from the others; loops name the equations; home says where quantities that nobody
-        reads usually stand [SI], such as the coordinates of a platform.
+        predict from the others; loops name the equations; home says where quantities without a
+        sensor usually stand [SI], such as the coordinates of a platform.
 
         >>> m = Mechanism.from_function(lambda x, p: x.a * p.gain - x.b,
         ...     {"a": "m", "b": "m"}, {"gain": (1.0, "1")}, outputs=("b",))
