@@ -111,3 +111,29 @@ def test_two_targets_explain_one_little_better(bodies: Bodies, seed: int) -> Non
     measured = bodies.at(np.array([0.1, -0.2, 0.3])) @ S.T + t + rng.normal(0.0, 0.02, (N, 3))
     two = two_targets(bodies, measured)
     assert two is None or 1.5 * two.share > see_points(bodies, measured[None]).share
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_target_far_from_a_body_that_hardly_moves_is_found(seed: int) -> None:
+    """A table tilts about x and turns about z; the target stands far from both axes."""
+    rng = np.random.default_rng(seed)
+    tilts, rounds = rng.uniform(-1.6, 0.6, 36), rng.uniform(-np.pi, np.pi, 36)
+    tilt = Rotation.from_euler("x", tilts[:, None])
+    table = Bodies((tilt * Rotation.from_euler("z", rounds[:, None])).as_matrix(), tilt.apply(AXIS))
+    u = np.array([0.18, 0.02, 0.08])
+    drawn = table.at(u) + 2e-4 * np.sin(tilts)[:, None]
+    found = see_points(table, drawn[None] @ S.T + t)
+    assert found.rms < 5e-4
+    # What no pose tells apart is where the axis of the table ends, along it.
+    assert found.targets[0][:2] == pytest.approx(u[:2], abs=2e-3)
+
+
+AXIS = (0.0, 0.0, -0.06)
+
+
+def test_one_axis_places_a_target_that_it_turns() -> None:
+    turns = Rotation.from_euler("z", np.linspace(-3.0, 3.0, 20)[:, None]).as_matrix()
+    table = Bodies(turns, np.zeros((20, 3)))
+    found = see_points(table, table.at(np.array([0.1, 0.2, 0.05]))[None] @ S.T + t)
+    assert found.rms < 1e-9
+    assert np.hypot(*found.targets[0][:2]) == pytest.approx(np.hypot(0.1, 0.2), rel=1e-3)

@@ -47,6 +47,8 @@ _LITTLE, _SLOW = 0.3, 0.98
 less than 2 %."""
 _MOST = 5_000
 """Poses that decide at most: a drawing is off by far more than so many leave open."""
+# Chosen, not derived: as well as drawings usually fit; other starts are not tried below.
+_WELL = 0.02
 # Chosen, not derived: each alternation costs one alignment, and few poses determine no target.
 _TURNS, _FEWEST = 100, 8
 """Alternations that tell two targets apart, and the poses that each must have."""
@@ -160,17 +162,24 @@ def see_points(bodies: Bodies, measured: Array, rounds: int = _ROUNDS) -> Mounte
 
     Raises InputError where the points do not determine where the instrument stands.
     """
-    targets = np.zeros((len(measured), 3))
     rows = _deciding(np.isfinite(measured).all(axis=(0, 2)) & bodies.complete)
     some, seen = bodies.take(rows), measured[:, rows]
-    good, placed = np.ones(len(rows), dtype=np.bool_), _Placed(targets, np.eye(3), np.zeros(3))
     spread = _spread(measured[0])
-    for _ in range(rounds):
-        placed = _points(some.take(good), seen[:, good], placed.targets, spread=spread)
-        good = _better(placed.away(some, seen))
+    # A body whose origin hardly moves says little of how the station is turned: targets aside do.
+    still, aside = bodies.extent < spread, spread * np.vstack([np.eye(3), -np.eye(3)])
+    first = np.zeros(3) if bodies.extent > _WEAK * spread else aside[0]
+    placed, good = _trimmed(some, seen, first, rounds)
+    for start in aside if still else ():
+        if _rms(placed.away(some, seen)) <= _WELL * spread:
+            break
+        other, rest = _trimmed(some, seen, start, rounds)
+        if _rms(other.away(some, seen)) < _rms(placed.away(some, seen)):
+            placed, good = other, rest
 
     def place() -> Array:
-        return _points(some.take(good), seen[:, good], targets, COMMON, spread).targets
+        # From the free fit on, whose misfit is that of the machine: from the body's origin it would
+        # be that of the mounting, and hold a target there that is mounted far from it.
+        return _points(some.take(good), seen[:, good], placed.targets, COMMON, spread).targets
 
     return Mounted(placed.away(bodies, measured), spread, place)
 
@@ -198,6 +207,18 @@ class _Placed:
         """(N,) distances from what was measured; of several targets the root of their squares."""
         distances: Array = np.sqrt(np.square(self.points(bodies) - measured).sum(axis=(0, 2)))
         return distances
+
+
+def _trimmed(
+    bodies: Bodies, measured: Array, aside: Array, rounds: int
+) -> tuple[_Placed, NDArray[np.bool_]]:
+    """The fit of the better nine tenths of the poses, begun with all targets `aside`, and which."""
+    good, spread = np.ones(measured.shape[1], dtype=np.bool_), _spread(measured[0])
+    placed = _Placed(np.tile(aside, (len(measured), 1)), np.eye(3), np.zeros(3))
+    for _ in range(rounds):
+        placed = _points(bodies.take(good), measured[:, good], placed.targets, spread=spread)
+        good = _better(placed.away(bodies, measured))
+    return placed, good
 
 
 def _points(
@@ -403,8 +424,8 @@ def see_planar(bodies: Bodies, measured: Array, rounds: int = _ROUNDS) -> Mounte
             good = decides & _better(np.where(read, away, np.nan))
         some, seen = bodies.take(good), measured[good]
 
-        def place(some: Bodies = some, seen: Array = seen, S: Array = S) -> Array:
-            return _planar(some, seen, S, np.zeros(3), COMMON)[2][None]
+        def place(some: Bodies = some, seen: Array = seen, S: Array = S, u: Array = u) -> Array:
+            return _planar(some, seen, S, u, COMMON)[2][None]
 
         fit = Mounted(np.where(read, away, np.nan), spread, place, stands=S)
         if best is None or fit.share < _CLEARER * best.share:

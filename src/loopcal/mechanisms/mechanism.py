@@ -154,13 +154,15 @@ class Mechanism:
         pose_constants: Mapping[str, str] | None = None,
         loops: Sequence[str] | None = None,
         name: str | None = None,
+        home: Mapping[str, float] | None = None,
     ) -> Mechanism:
         """A mechanism from a plain Python function f(x, p) that is zero where the loops close.
 
         The function is traced once (see `loopcal.expressions.trace`); x has the quantities and
         known constants by name in SI units, p the parameters. quantities and pose_constants map
         names to units, parameters to (nominal, unit); outputs name the quantities that the loops
-        predict from the others; loops name the equations.
+        predict from the others; loops name the equations; home says where quantities without a
+        sensor usually stand [SI], such as the coordinates of a platform.
 
         >>> m = Mechanism.from_function(lambda x, p: x.a * p.gain - x.b,
         ...     {"a": "m", "b": "m"}, {"gain": (1.0, "1")}, outputs=("b",))
@@ -187,6 +189,7 @@ class Mechanism:
             ),
             declared(parameters),
             tuple(outputs),
+            home=dict(home or {}),
         )
 
     @cached_property
@@ -244,6 +247,13 @@ class Mechanism:
                 raise unknown_name(
                     f"the output {output!r} is not a quantity of the mechanism",
                     output,
+                    self.quantities,
+                )
+        for name in self.home:
+            if name not in self.quantities:
+                raise unknown_name(
+                    f"the home of {self.name!r} names {name!r}, which is not one of its quantities",
+                    name,
                     self.quantities,
                 )
         if len(set(self.outputs)) > len(self.tape.loops):

@@ -12,6 +12,7 @@ import pytest
 
 import loopcal as lc
 from loopcal.estimation.calibrate import calibrate
+from loopcal.estimation.problem import starting
 
 TRUTH = {"xA": 0.012, "yA": -0.008, "l2": 0.8015, "l3": 0.5991, "phi20": 0.004, "phi30": -0.007}
 
@@ -139,3 +140,28 @@ def test_iterations_and_tolerance_are_the_users() -> None:
     assert short.status.reason == "max_iterations"
     for name in fine.estimated:
         assert abs(coarse.value[name] - fine.value[name]) < 0.02 * (fine.sd[name] or 0.0)
+
+
+def test_where_unread_angles_stand_is_sought_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Later rounds begin where the loops closed: each search costs as much as many rounds."""
+    machine = lc.assemble(lc.machines.three_rrr(), [lc.instruments.pose("eye", dimension=2)])
+    sds = {"theta_*": 5e-5, "[xy]": 2e-5, "eye_phi": 2e-4, "platform_*": math.inf}
+    noise = lc.Noise(sds)
+    where = {"platform_x": (-0.05, 0.05), "platform_y": (-0.05, 0.05), "platform_rz": (-0.3, 0.3)}
+    poses = lc.random_poses(where, 40, seed=1)
+    truth = {"distal_1": 0.201, "proximal_2": 0.199}
+    made = lc.simulate(machine, poses, noise=noise, seed=1, truth=truth)
+    searches: list[int] = []
+    sought = starting._Searched.from_elsewhere
+
+    def counted(self: starting._Searched, *where: Any) -> starting._Searched:
+        searches.append(len(self.poses))
+        return sought(self, *where)
+
+    monkeypatch.setattr(starting._Searched, "from_elsewhere", counted)
+    result = calibrate(machine, made.dataset, noise=noise, method="reweighted")
+    assert result.status.converged
+    assert len(searches) <= 1
+    exact = calibrate(machine, made.dataset, noise=noise, method="implicit-loop")
+    for name in exact.estimated:
+        assert abs(result.value[name] - exact.value[name]) < 0.1 * (exact.sd[name] or 0.0)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from pathlib import Path
 
 import pytest
 
 from loopcal.errors import InputError
 from loopcal.files.machines.mechanism_file import mechanism_from_data, read_mechanism
+from loopcal.files.machines.mechanism_writer import mechanism_to_toml
 from loopcal.files.toml.place import Place
 from loopcal.files.toml.reader import toml_data
 from loopcal.mechanisms.mechanism import Mechanism
@@ -274,3 +276,37 @@ def test_a_file_is_read_from_the_disk(tmp_path: Path):
     path.write_text('type = "planar-two-link"\n', "utf-8")
     with refused("wrong-schema"):
         read_mechanism(path)
+
+
+ROD = """
+type = "function"
+quantities = { slide = "m", height = "m" }
+home = { height = { value = 400, unit = "mm" } }
+parameters = { rod = { value = 0.5, unit = "m" } }
+"""
+
+
+def rod(x, p):
+    return x.slide * x.slide + x.height * x.height - p.rod * p.rod
+
+
+def test_a_function_says_where_what_nobody_reads_usually_stands():
+    made = read(ROD, function=rod)
+    assert made.home == {"height": 0.4}
+    data = tomllib.loads(mechanism_to_toml(made))
+    data.pop("schema")
+    again = mechanism_from_data(data, Place("x"), function=rod)
+    assert again.home == made.home
+    whole = Mechanism.from_function(
+        rod, {"slide": "m", "height": "m"}, {"rod": (1.0, "m")}, home={"height": -0.1}
+    )
+    assert whole.home == {"height": -0.1}
+    assert read(ROD, function=whole).home == {"height": 0.4}
+
+
+def test_a_home_names_quantities():
+    text = ROD.replace("home = { height", "home = { heigth")
+    for function in (rod, read(ROD, function=rod)):
+        with pytest.raises(InputError, match="height") as caught:
+            read(text, function=function)
+        assert caught.value.code == "unknown-name"

@@ -29,7 +29,7 @@ def test_what_is_missing_is_said_where_it_is_true(
     columns: dict[str, np.ndarray], units: tuple[str, ...], said: str
 ) -> None:
     fields = tuple(Field(0, i, None, np.asarray(v)) for i, v in enumerate(columns.values()))
-    machine: Any = SimpleNamespace(joints=tuple(columns), units=units)
+    machine: Any = SimpleNamespace(joints=tuple(columns), units=units, frame=None)
     words = str(undetermined(machine, [Layout(fields, (), (), "names")]))
     assert said in words
     assert "every joint" not in words

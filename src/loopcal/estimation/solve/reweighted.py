@@ -123,14 +123,15 @@ def solve_reweighted(
 
 
 def _held(problem: Problem, parameters: Array, corrections: Array) -> Problem:
-    """The problem with unmeasured quantities held where the loops are closed."""
+    """The problem with unmeasured quantities held where the loops are closed, and sought there."""
     readings = problem.readings
     if any(pattern.unmeasured for pattern in problem.patterns):
         readings = readings.copy()
         for pattern in problem.patterns:
             for row in pattern.unmeasured:
                 readings[row, pattern.poses] += corrections[row, pattern.poses]
-    return replace(problem, readings=readings, start=parameters)
+    closed = np.zeros(readings.shape)
+    return replace(problem, readings=readings, start=parameters, first_corrections=closed)
 
 
 @overflowing

@@ -9,7 +9,13 @@ from typing import Annotated, Any
 from loopcal.errors import InputError, placed
 from loopcal.files.machines.attached import affected, needed
 from loopcal.files.machines.machine_type import MechanismTable
-from loopcal.files.machines.parameter_entries import by_dimension, changed, declared_parameters
+from loopcal.files.machines.parameter_entries import (
+    Home,
+    by_dimension,
+    changed,
+    declared_parameters,
+    home_in_si,
+)
 from loopcal.files.machines.python_function import Loops
 from loopcal.files.toml.place import Place, Scope
 from loopcal.keys import Key
@@ -36,6 +42,7 @@ class Function(MechanismTable):
         tuple[str, ...], Key("The quantities that the loops predict from the rest.")
     ] = ()
     loops: Annotated[tuple[str, ...] | None, Key("Names of the equations.")] = None
+    home: Home = field(default_factory=dict)
 
 
 def declared_function(
@@ -85,7 +92,8 @@ def _function(
     units, parameters_place = by_dimension(model.units), place.at("parameters")
     if isinstance(function, Mechanism):
         _refuse_other_quantities(model, function, place)
-        return function.with_parameters(
+        home = home_in_si(model.home, function.quantities, place.at("home"), units)
+        return replace(function, home={**function.home, **home}).with_parameters(
             changed(function.parameters, model.parameters, parameters_place, units)
         )
     if not model.quantities:
@@ -107,6 +115,7 @@ def _function(
             pose_constants=model.known,
             loops=model.loops,
             name=model.name,
+            home=home_in_si(model.home, model.quantities, place.at("home"), units),
         )
     return made.with_parameters(changed(made.parameters, model.parameters, parameters_place, units))
 

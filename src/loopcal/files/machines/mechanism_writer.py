@@ -69,6 +69,7 @@ def _declared(mechanism: Mechanism) -> dict[str, Any]:
         "known": mechanism.pose_constants,
         "outputs": mechanism.outputs,
         "loops": mechanism.tape.loops,
+        "home": mechanism.home,
     }
 
 

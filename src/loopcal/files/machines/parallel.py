@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Annotated, Any
 
 from loopcal.files.machines.attached import Instruments
 from loopcal.files.machines.machine_type import MachineTable, MachineType, looked_at
-from loopcal.files.machines.parameter_entries import changed, entries_of, in_si
+from loopcal.files.machines.parameter_entries import Home, changed, entries_of, home_in_si
 from loopcal.files.toml.place import Place, Scope
 from loopcal.files.toml.tables import stated_arguments
 from loopcal.keys import Key
@@ -20,24 +20,10 @@ from loopcal.mechanisms.parameters import Parameters
 
 
 @dataclass(frozen=True)
-class Amount:
-    """A number with its unit."""
-
-    value: Annotated[float, Key("The number.", alone=True)]
-    unit: Annotated[str | None, Key("Of the number.", is_unit=True)] = None
-
-
-@dataclass(frozen=True)
 class ParallelTable(MachineTable):
     """What all parallel machines have; their geometry is in their parameters."""
 
-    home: Annotated[
-        Mapping[str, Amount],
-        Key(
-            "Usual values of unread quantities, at which the search for them begins.",
-            example={"platform_z": {"value": 700, "unit": "mm"}},
-        ),
-    ] = field(default_factory=dict)
+    home: Home = field(default_factory=dict)
     instrument: Annotated[Instruments, Key("What is read of the machine's body.")] = ()
 
 
@@ -45,13 +31,7 @@ def _parallel(
     make: Callable[..., Machine], stated: ParallelTable, entry: Any, scope: Scope, place: Place
 ) -> Mechanism:
     options = stated_arguments(make, entry, scope, place)
-    quantities, at = make(**options).quantities, place.at("home")
-    home = {
-        name: in_si(amount.value, amount.unit, quantities[name], at.at(name), scope.units)
-        if name in quantities
-        else amount.value
-        for name, amount in stated.home.items()
-    }
+    home = home_in_si(stated.home, make(**options).quantities, place.at("home"), scope.units)
     machine = make(**options, home=home)
     parameters = Parameters(tuple(machine.parameters.values()))
     entries = entries_of(parameters, stated.parameters)

@@ -80,6 +80,38 @@ def in_si(
     return value if difference or not stated_unit.zero else value + stated_unit.zero
 
 
+@dataclass(frozen=True)
+class Amount:
+    """A number with its unit."""
+
+    value: Annotated[float, Key("The number.", alone=True)]
+    unit: Annotated[str | None, Key("Of the number.", is_unit=True)] = None
+
+
+Home = Annotated[
+    Mapping[str, Amount],
+    Key(
+        "Usual values of unread quantities, at which the search for them begins.",
+        example={"platform_z": {"value": 700, "unit": "mm"}},
+    ),
+]
+
+
+def home_in_si(
+    home: Mapping[str, Amount],
+    quantities: Mapping[str, str],
+    place: Place,
+    units: Mapping[str, str] = NO_UNITS,
+) -> dict[str, float]:
+    """Quantity -> usual value [SI]; what is no quantity of the machine stays as stated."""
+    return {
+        name: in_si(amount.value, amount.unit, quantities[name], place.at(name), units)
+        if name in quantities
+        else amount.value
+        for name, amount in home.items()
+    }
+
+
 def changed(
     parameters: Parameters,
     entries: Mapping[str, StatedParameter],

@@ -48,6 +48,13 @@ class Case:
         """The misfit of the best."""
         return self.ways[0].share if self.ways else float("inf")
 
+    @property
+    def as_read(self) -> str:
+        """What follows the misfit of an explanation."""
+        if not self.ways:
+            return "; as read it fits nowhere"
+        return f", as read by {percent(self.share)}"
+
 
 @dataclass(frozen=True)
 class Explanation:
@@ -75,8 +82,8 @@ def turned_round(case: Case, count: int) -> Iterator[Explanation]:
             share,
             "implausible-readings",
             f"{' and '.join(names)} {be} the other way round: with the sign reversed the nominal "
-            f"machine misses the readings by {percent(share)} of their spread, as read by "
-            f"{percent(case.share)}",
+            f"machine misses the readings by {percent(share)} of their spread"
+            f"{case.as_read}",
             "write -1 for it in a column direction of the robot's table, or correct the sign in "
             "the file, or state --joints",
             options,
@@ -93,8 +100,8 @@ def exchanged(case: Case) -> Iterator[Explanation]:
                 share,
                 "implausible-readings",
                 f"the columns of {one} and {other} are exchanged: the other way round the nominal "
-                f"machine misses the readings by {percent(share)} of their spread, as read by "
-                f"{percent(case.share)}",
+                f"machine misses the readings by {percent(share)} of their spread"
+                f"{case.as_read}",
                 "state --joints, with the columns in the order of the machine",
                 options,
             )
@@ -112,8 +119,8 @@ def displaced_zeros(case: Case, sign: int) -> Iterator[Explanation]:
                 share,
                 "implausible-readings",
                 f"{name} counts from another zero{other_way}: with {degrees:+d} deg the nominal "
-                f"machine misses the readings by {percent(share)} of their spread, as read by "
-                f"{percent(case.share)}",
+                f"machine misses the readings by {percent(share)} of their spread"
+                f"{case.as_read}",
                 f"add {degrees:+d} deg to its column, or to theta of this joint in the robot's "
                 "table, or state --joints",
                 options,
@@ -153,8 +160,8 @@ def several(case: Case) -> Iterator[Explanation]:
         best.share,
         "implausible-readings",
         f"{names} count from other zeros or the other way round: with {best.options[1]} the "
-        f"nominal machine misses the readings by {percent(best.share)} of their spread, as read by "
-        f"{percent(case.share)}",
+        f"nominal machine misses the readings by {percent(best.share)} of their spread"
+        f"{case.as_read}",
         "correct theta and direction of these joints in the robot's table, or state --joints",
         best.options,
     )
@@ -199,8 +206,8 @@ def coupled(case: Case) -> Iterator[Explanation]:
                 share,
                 "implausible-readings",
                 f"{name} is read {words} {other}: with both together the nominal machine misses "
-                f"the readings by {percent(share)} of their spread, as read by "
-                f"{percent(case.share)}",
+                f"the readings by {percent(share)} of their spread"
+                f"{case.as_read}",
                 "state --joints, with the joint as the sum of its columns",
                 options,
             )
@@ -213,7 +220,8 @@ def _counted(
 
     exchanged: two joints under each other's columns.
     """
-    layouts = list({id(way.layout): way.layout for way in case.ways[:_LIKELIEST]}.values())
+    likeliest = [way.layout for way in case.ways] or list(case.layouts)
+    layouts = list({id(layout): layout for layout in likeliest[:_LIKELIEST]}.values())
     if exchanged:
         order = list(range(len(case.machine.joints)))
         i, j = map(case.machine.joints.index, exchanged)

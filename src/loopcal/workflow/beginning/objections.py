@@ -69,14 +69,22 @@ def contradiction(case: Case) -> Explanation | None:
         return None
     before = set(case.ways[0].words) if case.ways else set()
     other = "; ".join(w for w in free[0].words if w not in before) or "another unit"
+    missed = f"and misses them by {percent(stated)} of their spread as stated"
     return Explanation(
         free[0].share,
         "wrong-unit",
         f"the units in the headers contradict the readings: the nominal machine fits with "
-        f"{other}, and misses them by {percent(stated)} of their spread as stated",
+        f"{other}, {missed if case.ways else 'and not at all as stated'}",
         "correct the unit in the header, or state --infer-units, which takes none from headers",
         ("--infer-units",),
     )
+
+
+def unplaced(case: Case) -> Explanation | None:
+    """What lets the machine be placed that no way to read the columns places."""
+    explanations = chain(turned_round(case, 1), exchanged(case))
+    fitting = (e for e in explanations if e.share <= PLAUSIBLE)
+    return min(fitting, key=lambda e: e.share, default=None)
 
 
 def objection(case: Case) -> Explanation | None:

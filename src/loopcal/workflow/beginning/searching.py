@@ -209,6 +209,17 @@ def every_way(
     return ways
 
 
+def closes(machine: Machine, layouts: Sequence[Layout]) -> bool:
+    """Whether the machine can stand as its joints read in most poses, in some units."""
+    for layout in layouts:
+        for units in joint_units(layout.joints, machine.units):
+            columns = zip(machine.joints, layout.joints, units, strict=True)
+            bodies = machine.bodies({name: to_si(f.values, of) for name, f, of in columns})
+            if bodies.complete.any():
+                return True
+    return False
+
+
 def as_large(meaning: Meaning, bodies: Bodies) -> bool:
     """Whether the readings move about as far as the body does; units differ by larger factors."""
     if meaning.position.ndim != 2:

@@ -15,13 +15,14 @@ from loopcal.files.recognition.layouts import Layout
 from loopcal.presentation.shown import significant
 from loopcal.workflow.beginning.counting import Case
 from loopcal.workflow.beginning.misplaced_rows import mixed_targets, swapped_targets
-from loopcal.workflow.beginning.objections import contradiction, objection, shifted
+from loopcal.workflow.beginning.objections import contradiction, objection, shifted, unplaced
 from loopcal.workflow.beginning.searching import (
     CLEARLY,
     NOTHING,
     PLAUSIBLE,
     Machine,
     Understood,
+    closes,
     every_way,
     in_proportion,
 )
@@ -59,6 +60,12 @@ def undetermined(machine: Machine, layouts: Sequence[Layout]) -> InputError:
     elif still:
         words = f"{listed(still)} stands still in all {poses} poses"
         remedy = "move it, or name a --base or --tip that leaves it out"
+    elif machine.frame is not None and not closes(machine, layouts):
+        words = "with the columns and units as they are, its loops do not close in most poses"
+        remedy = (
+            "check which column belongs to which joint, its sign and its zero, and the dimensions "
+            "and the home of the machine"
+        )
     elif set(machine.units) == {"m"}:
         words = "no joint turns, so nothing shows where the target is mounted"
         remedy = "begin with loopcal new, and state or fix the mounting in [mechanism.parameters]"
@@ -96,7 +103,8 @@ def understood(
         if wrong is not None:
             raise wrong.error()
     if not ways:
-        raise undetermined(machine, layouts)
+        wrong = unplaced(case)
+        raise undetermined(machine, layouts) if wrong is None else wrong.error()
     best = ways[0]
     if fields.by_order and (displaced := shifted(case, ways[:1])):
         raise displaced.error()

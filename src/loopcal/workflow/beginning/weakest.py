@@ -57,7 +57,8 @@ def weakest(made: Check, dataset: Dataset) -> str:
     constants = {name: float(np.nanmedian(dataset[name])) for name in machine.tape.pose_constants}
     made_sds, drawn_sds = (sds_in(one, ranges, constants) for one in (predictor, drawing))
     both = zip(output_groups(machine), made_sds, drawn_sds, strict=True)
-    worse = [(group, sd, drawn) for group, sd, drawn in both if sd > drawn]
+    # Of a machine that is placed alone, nothing is drawn.
+    worse = [(group, sd, drawn) for group, sd, drawn in both if sd > drawn > 0.0]
     if not worse:
         return ""
     group, sd, drawn = max(worse, key=lambda one: one[1] / one[2])
