@@ -406,9 +406,12 @@ def test_a_term_that_a_better_weighted_fit_does_not_need_is_no_finding() -> None
     assert verdict_of(replace(clean(), chosen=chosen)).sound.passed
 
 
-def test_an_sd_at_its_bound_leaves_the_question_open() -> None:
+@pytest.mark.parametrize(
+    "learnt", [{"sd": 0.0}, {"sd": 7e-5, "upper": 3.9e-4, "p_value": 1.0, "sd_of_sd": 7e-5}]
+)
+def test_an_sd_that_may_be_0_leaves_the_question_open(learnt: dict[str, Any]) -> None:
     document = clean()
-    zero = replace(document.noise[0], source="estimated", sd=0.0)
+    zero = replace(document.noise[0], source="estimated", **learnt)
     document = replace(document, noise=(zero, *document.noise[1:]))
     assert verdict_of(document).sound.code == "sd-not-detectable"
     region = document.region
@@ -417,6 +420,8 @@ def test_an_sd_at_its_bound_leaves_the_question_open() -> None:
         by = tuple(replace(one, sd_at_bounds=times * one.sd_at_poses) for one in region.by)
         bounded = changed(document, "prediction.region.by", by)
         assert verdict_of(bounded).sound.passed is passed
+    seen = replace(zero, sd=7e-5, upper=None, p_value=1e-4)
+    assert verdict_of(replace(document, noise=(seen, *document.noise[1:]))).sound.passed
 
 
 def test_the_region_says_what_bounds_of_sds_would_do() -> None:

@@ -309,7 +309,8 @@ _ROWS = (
     ),
     _sound_open(
         "sd-not-detectable",
-        "The noise of {place.readings} is not detectable: its learnt sd is 0.",
+        "The noise of {place.readings} is not detectable: its sd may be 0, or far above the "
+        "learnt one.",
         "State its sd, or repeat readings of one pose.",
         _CHECK,
     ),

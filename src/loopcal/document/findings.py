@@ -327,7 +327,7 @@ class RegionSd:
     instrument: str | None = None
     """Whose readings are predicted, where there are several."""
     sd_at_bounds: Size | None = None
-    """As `sd_at_poses`, were each sd of a reading that was learnt as 0 at its upper bound; null:
+    """As `sd_at_poses`, were each sd of a reading that may be 0 at its upper bound; null:
     none was, or one has no bound."""
 
     @property

@@ -119,6 +119,9 @@ class CovarianceEntry:
     last of `slopes` says. Rows of its lower triangle; null: nothing."""
 
 
+# Chosen, not derived: the usual level.
+_AS_LIKELY = 0.05
+"""p-value of a learnt sd above which the readings may as well have no such noise."""
 _FEW = 12
 """Quantities of a sensor that its row names: images have hundreds."""
 
@@ -155,6 +158,13 @@ class NoiseEntry:
     variance_factor: Size | None = None
     """Chi-squared of their corrections over their redundancy: 1 where the sd is right (Foerstner
     1979). The sensor with the largest is the first to suspect."""
+
+    @property
+    def undetected(self) -> bool:
+        """Of readings: whether it was learnt, and the readings would be as likely without it."""
+        if (self.source, self.role) != ("estimated", "reading"):
+            return False
+        return not self.sd or (self.upper is not None and (self.p_value or 0.0) > _AS_LIKELY)
 
     @property
     def label(self) -> str:

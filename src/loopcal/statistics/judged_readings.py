@@ -28,7 +28,7 @@ UNSURE = 0.5
 """Stated sds by which a drift along ordered poses may move what it moves, rms over the run."""
 # Chosen, not derived: half way to 1.5, from which the gauntlet counts a stated sd as wrong.
 LITTLE = 1.25
-"""Times by which predictions may be less sure, at the upper bounds of sds that were learnt as 0."""
+"""Times by which predictions may be less sure, at the upper bounds of sds that may be 0."""
 # The 95 % point of half of chi-squared(1), as a variance of 0 is at the boundary.
 SUGGESTED = 2.71
 """Gain in -2 log restricted likelihood from which readings suggest that a drift is there."""
@@ -166,13 +166,12 @@ def size_unsure(document: ResultDocument) -> Fact | None:
 
 
 def undetected(document: ResultDocument) -> Fact | None:
-    """Sensors whose learnt sd is 0, where their upper bounds would make predictions less sure.
+    """Sensors whose learnt sd may be 0, where their upper bounds would make predictions less sure.
 
     Noise that is below what the other readings show comes out as 0 in half of all draws. Nothing
     follows from that where the bounds say that it is small in what is predicted as well.
     """
-    zero = [e for e in document.noise if e.source == "estimated" and not e.sd]
-    names = tuple(q for e in zero if e.role == "reading" for q in e.quantities)
+    names = tuple(q for e in document.noise if e.undetected for q in e.quantities)
     region = document.region
     by = () if region is None else region.by
     stated = [one for one in by if one.unit != "px"] or by

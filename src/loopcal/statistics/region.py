@@ -187,9 +187,8 @@ def _rms(sds: Array) -> float:
 
 
 def bounds_of(noise: Sequence[NoiseEntry]) -> dict[str, float]:
-    """Upper bounds of the sds of readings that were learnt as 0; none where one has no bound."""
-    zero = [e for e in noise if (e.source, e.role, e.sd) == ("estimated", "reading", 0.0)]
-    bounds = {q: e.upper for e in zero for q in e.quantities}
+    """Upper bounds of the sds of readings that may be 0; none where one has no bound."""
+    bounds = {q: e.upper for e in noise if e.undetected for q in e.quantities}
     return {} if None in bounds.values() else {q: b for q, b in bounds.items() if b is not None}
 
 
