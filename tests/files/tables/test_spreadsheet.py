@@ -48,6 +48,21 @@ def test_sheets_by_name_and_number_and_columns_by_number(path):
         np.testing.assert_array_equal(data["x"], [1.0, 3.0])
 
 
+@pytest.mark.parametrize(
+    ("cells", "values"),
+    [
+        (["1,234", "0,5", 2.5], [1.234, 0.5, 2.5]),  # a comma that is no group of thousands
+        (["1,234.5", "0.5", 2.5], [1234.5, 0.5, 2.5]),
+        (["-3.25", "0.5", "1.5"], [-3.25, 0.5, 1.5]),
+    ],
+)
+def test_numbers_stored_as_text_have_the_decimal_mark_of_the_sheet(tmp_path, cells, values):
+    path = tmp_path / "arm.xlsx"
+    with xlsxwriter.Workbook(path) as book:
+        book.add_worksheet("left arm").write_column(0, 0, ["x", *cells])
+    np.testing.assert_array_equal(read_dataset(path, {"x": "x"})["x"], values)
+
+
 WRONG = {
     "text in a number": ({"sheet": "bare"}, {"x": 2}, ["row 2, column '2'", "'4.5 mm'"]),
     "a date in a number": ({"sheet": 2, "exclude": [2]}, {"x": 2}, ["row 3", "2024-05-17"]),

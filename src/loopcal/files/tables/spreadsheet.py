@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from loopcal.errors import InputError, listed, unknown_name
-from loopcal.files.tables.cells import is_missing
+from loopcal.files.tables.cells import is_missing, is_number, may_be_grouped
 from loopcal.files.tables.delimited import is_header, only_header
 from loopcal.files.tables.raw import empty, existing_file, sha256_of
 from loopcal.files.tables.reader import RECOGNISED, Layout, Reader
@@ -46,7 +47,7 @@ def read_spreadsheet(
     rows = [(i, row) for i, row in enumerate(sheet_rows, 1) if not all(map(is_missing, row))]
     if not rows:
         raise empty(name)
-    mark, header = layout.decimal or ".", layout.header
+    mark, header = layout.decimal or _decimal_mark(rows), layout.header
     first = rows[0][1]
     if header is None:
         header = is_header([row for _, row in rows[:2]], mark, f"{name}, row {rows[0][0]}")
@@ -62,6 +63,17 @@ def read_spreadsheet(
         np.array([i for i, _ in body], dtype=np.int64),
         mark,
     )
+
+
+def _decimal_mark(rows: list[tuple[int, list[Any]]]) -> str:
+    """That of numbers which are stored as text; cells of numbers have none."""
+    texts = [cell for _, row in rows for cell in row if isinstance(cell, str)]
+    by_point = any(is_number(text) and not is_number(text, ",") for text in texts)
+    by_comma = any(
+        is_number(text, ",") and not is_number(text) and not may_be_grouped(text, ".")
+        for text in texts
+    )
+    return "," if by_comma and not by_point else "."
 
 
 def _title(titles: list[str], sheet: str | int | None, name: str) -> str:
