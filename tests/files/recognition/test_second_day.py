@@ -370,6 +370,39 @@ def test_a_missing_column_of_the_instrument_is_named(tmp_path: Path) -> None:
     assert len(read_new_readings(tmp_path / "b.csv", project.inputs, project.mechanism)) == 20
 
 
+def test_a_missing_column_of_the_joints_is_named_without_a_search(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, (q, T) = day(slice(0, 40)), day(slice(60, 80))
+    project = begun(tmp_path, kept(tmp_path / "first", plain(*first)))
+    columns = joints_of(q) | {"J7": 30.0 * np.cos(q[:, 0])} | points_of(T[:, :3, 3])
+    del columns["J6"]
+    (tmp_path / "b.csv").write_text(written(columns), "utf-8")
+    monkeypatch.setattr(
+        "loopcal.workflow.beginning.later_layout.understood", lambda *_: pytest.fail("it searches")
+    )
+    with refused("missing-column", "J6"):
+        new_readings(tmp_path / "b.csv", project.inputs, project.mechanism, whole=True)
+
+
+def test_the_sixth_joint_of_s_l_u_r_b_t_is_no_time(tmp_path: Path) -> None:
+    """In two files, read by what `init` stated of their columns; T rises in small steps."""
+    q, T = day(slice(0, 80))
+    order = np.argsort(q[:, 5])
+
+    def files(rows: Array) -> dict[str, str]:
+        joints = written({"pose": ids(rows), **joints_of(q[rows], [*"SLURBT"], 1.0)})
+        return {
+            "joints.csv": joints,
+            "points.csv": written({"pose": ids(rows), **points_of(T[rows, :3, 3])}),
+        }
+
+    project = begun(tmp_path, kept(tmp_path / "first", files(np.arange(40))))
+    paths = kept(tmp_path / "second", files(order))
+    read = new_readings(paths, project.inputs, project.mechanism, whole=True)
+    np.testing.assert_allclose(read[project.mechanism.tape.quantities[5]], q[order, 5], atol=1e-8)
+
+
 def test_joints_of_other_names_are_computed_as_on_the_first_day(tmp_path: Path) -> None:
     def from_the_horizon(q: Array, names: list[str], factor: float = 180 / np.pi) -> dict[str, Any]:
         read = q.copy()

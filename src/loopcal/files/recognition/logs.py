@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -40,13 +40,15 @@ def at_rest(sources: Sequence[Source], names: Collection[str] = ()) -> tuple[lis
     tables = [one for one in sources if one.recording is None]
     # Beside the stamp of a reading a log may have the time of its receipt.
     stamped = all(any(_is_stamp(f) for f in one.fields) for one in tables)
+    # The last joint of S, L, U, R, B, T is no time.
+    joints = {id(f) for one in sources for f in _joints(one.fields, names)}
     logs = {
         i: times
         for i, one in enumerate(sources)
-        if one.recording is None and (times := _times(one, stamped)) is not None
+        if one.recording is None and (times := _times(one, stamped, joints)) is not None
     }
-    fields = [f for i in logs for f in sources[i].fields if not f.is_time]
-    joints = {id(f) for f in _named(fields, names) or usual_joints(fields)}
+    fields = [f for i in logs for f in sources[i].fields if id(f) in joints or not f.is_time]
+    joints = {id(f) for f in _joints(fields, names)}
     if not joints:
         return list(sources), recorded
     at: dict[tuple[int, int], tuple[Series, int]] = {}
@@ -79,7 +81,7 @@ def at_rest(sources: Sequence[Source], names: Collection[str] = ()) -> tuple[lis
     first = next(iter(logs))
     if len(logs) == 1:
         middle = recording.stands.mean(axis=1) + begin - _OFTEN
-        poses = (_when(sources[first], stamped, middle), *poses)
+        poses = (_when(sources[first], stamped, joints, middle), *poses)
     made = Source(None, None, poses, None, None, label=names, remark=remark)
     kept = [
         made if i == first else one for i, one in enumerate(sources) if i not in logs or i == first
@@ -112,13 +114,17 @@ def _named(fields: Sequence[Field], names: Collection[str]) -> list[Field]:
     return max(by_end.values(), key=len, default=[])
 
 
+def _joints(fields: Sequence[Field], names: Collection[str]) -> Sequence[Field]:
+    return _named(fields, names) or usual_joints(fields)
+
+
 def _is_stamp(field: Field) -> bool:
     return field.stem.rpartition("_")[2] == "stamp"
 
 
-def _times(source: Source, stamped: bool) -> Array | None:
+def _times(source: Source, stamped: bool, joints: Set[int]) -> Array | None:
     """(N,) times [s] of a log, its stamps where it has some; None of a table of poses."""
-    column = _clock(source, stamped)
+    column = _clock(source, stamped, joints)
     if column is None or len(source) < _FEW:
         return None
     times = _factor(column) * column.values
@@ -126,15 +132,16 @@ def _times(source: Source, stamped: bool) -> Array | None:
     return times if steps.size and 0.0 < np.median(steps) <= _OFTEN else None
 
 
-def _clock(source: Source, stamped: bool) -> Field | None:
+def _clock(source: Source, stamped: bool, joints: Set[int]) -> Field | None:
     """The column of times that counts."""
-    return next((f for f in source.fields if (_is_stamp(f) if stamped else f.is_time)), None)
+    free = (f for f in source.fields if id(f) not in joints)
+    return next((f for f in free if (_is_stamp(f) if stamped else f.is_time)), None)
 
 
-def _when(source: Source, stamped: bool, times: Array) -> Field:
+def _when(source: Source, stamped: bool, joints: Set[int], times: Array) -> Field:
     """The column of times of a log, a row for each of its stands: an instrument that was read once
     at each joins by it. times: (N,) [s]."""
-    column = _clock(source, stamped)
+    column = _clock(source, stamped, joints)
     assert column is not None
     return replace(column, values=times / _factor(column))
 

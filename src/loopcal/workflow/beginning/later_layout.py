@@ -13,7 +13,7 @@ from loopcal.files.cameras.folder import tables_of
 from loopcal.files.recognition.conditions import by_condition, degrees_of
 from loopcal.files.recognition.converting import Reading, dataset_of, quaternions, readings_of
 from loopcal.files.recognition.joins import Fields, joined
-from loopcal.files.recognition.joint_sets import computed_column
+from loopcal.files.recognition.joint_sets import computed_column, named_joints
 from loopcal.files.recognition.layouts import Layout, layouts
 from loopcal.files.recognition.logs import at_rest
 from loopcal.files.recognition.meanings import Meaning
@@ -54,6 +54,9 @@ def later_layout(
     oriented = {name for of in mechanism.orientations for name in of.columns}
     if mechanism.pose_constants.keys() - mechanism.latest.keys() - oriented - stated.keys():
         return None
+    present = len(named_joints(fields.fields, machine.joints))
+    if len(machine.joints) < 2 * present < 2 * len(machine.joints):
+        return None  # the layout of the first day, of which a column is missing
     every = layouts(fields.fields, len(machine.joints), machine.joints)
     by_joint = [str((columns or {}).get(name, {}).get("column", name)) for name in machine.joints]
     every += tuple(filter(None, (_computed(layout, by_joint) for layout in every)))
