@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -160,13 +161,6 @@ class NoiseEntry:
     1979). The sensor with the largest is the first to suspect."""
 
     @property
-    def undetected(self) -> bool:
-        """Of readings: whether it was learnt, and the readings would be as likely without it."""
-        if (self.source, self.role) != ("estimated", "reading"):
-            return False
-        return not self.sd or (self.upper is not None and (self.p_value or 0.0) > _AS_LIKELY)
-
-    @property
     def label(self) -> str:
         """For the reader: what a camera sees, turns of a pose, or else the names."""
         names = self.quantities
@@ -176,6 +170,15 @@ class NoiseEntry:
         shown = ", ".join(names) if len(names) <= _FEW else f"{names[0]} ... {names[-1]}"
         turns = {name.rpartition("_")[2] for name in names} <= {"wx", "wy", "wz"}
         return f"small turns {shown}" if turns else shown
+
+
+def undetected(noise: Sequence[NoiseEntry]) -> list[NoiseEntry]:
+    """The learnt sds of readings that are 0; without any, those whose readings would be as likely
+    without them."""
+    learnt = [e for e in noise if (e.source, e.role) == ("estimated", "reading")]
+    zero = [e for e in learnt if not e.sd]
+    unsure = [e for e in learnt if e.upper is not None and (e.p_value or 0.0) > _AS_LIKELY]
+    return zero or unsure
 
 
 @dataclass(frozen=True)

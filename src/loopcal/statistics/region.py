@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.document.findings import RegionEntry, RegionRange, RegionSd
-from loopcal.document.fit import NoiseEntry
+from loopcal.document.fit import NoiseEntry, undetected
 from loopcal.estimation.cameras.at_board import sight_of
 from loopcal.estimation.prediction import predict_outputs, solving
 from loopcal.estimation.problem.constants import as_now
@@ -188,7 +188,7 @@ def _rms(sds: Array) -> float:
 
 def bounds_of(noise: Sequence[NoiseEntry]) -> dict[str, float]:
     """Upper bounds of the sds of readings that may be 0; none where one has no bound."""
-    bounds = {q: e.upper for e in noise if e.undetected for q in e.quantities}
+    bounds = {q: e.upper for e in undetected(noise) for q in e.quantities}
     return {} if None in bounds.values() else {q: b for q, b in bounds.items() if b is not None}
 
 

@@ -27,11 +27,11 @@ from loopcal.statistics.judged_readings import (
     RARE,
     drift_or_machine,
     errors_beyond_sds,
+    not_detectable,
     order_or_model,
     sds_overruled,
     size_unsure,
     suspects,
-    undetected,
 )
 
 # Chosen, not derived: less is within what single regions differ by.
@@ -508,7 +508,7 @@ SOUND: tuple[Callable[[ResultDocument], Fact | None], ...] = (
     sds_overruled,
     size_unsure,
     _unsettled,
-    undetected,
+    not_detectable,
     _mounting,
     _delayed,
     _contradict,
