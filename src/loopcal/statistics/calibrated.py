@@ -182,7 +182,7 @@ class Calibrated:
             offsets=_offsets(None if stored is None else stored.printed, names, estimated),
             fields=_fields(document.lens_errors, np.eye(len(names))[:, free]),
             further_waves=tuple(
-                one.through(np.eye(len(names))[:, free]) for one in stored_waves(stored)
+                one.through(np.eye(len(names))[:, free]) for one in stored_waves(stored, mechanism)
             ),
         )
 
@@ -363,10 +363,16 @@ def further_waves(result: FitResult) -> tuple[FurtherWaves, ...]:
     return scaled(learnt.waves, factor or 1.0)
 
 
-def stored_waves(stored: PredictionEntry | None) -> tuple[FurtherWaves, ...]:
-    """As a document has them."""
-    entries = () if stored is None else stored.further_waves
-    return tuple(FurtherWaves(one.body, one.sd, np.array(one.moved)) for one in entries)
+def stored_waves(stored: PredictionEntry | None, mechanism: Mechanism) -> tuple[FurtherWaves, ...]:
+    """As a document has them, of the bodies of its mechanism."""
+    if stored is None or mechanism.structure is None:
+        return ()
+    smooth = {one.body: one for one in mechanism.structure.smooth.values()}
+    return tuple(
+        FurtherWaves(smooth[one.body], one.sd, np.array(one.moved))
+        for one in stored.further_waves
+        if one.body in smooth
+    )
 
 
 def _hidden(result: FitResult) -> dict[str, float]:

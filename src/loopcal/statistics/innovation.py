@@ -141,7 +141,7 @@ class Linearised:
         A, root = np.hstack([waves.left, A, drift]), np.pad(root, ((0, 0), (w, p)))
         root[:, :w] = -waves.moved * held
         slopes = np.pad(slopes, ((0, 0), (w, p), (w, p)))
-        return cls(placement, e, F, A, root, solve, rank, f, slopes, noise, waves.of)
+        return cls(placement, e, F, A, root, solve, rank, f, slopes, noise, waves.held)
 
     def unsurer(self, freedom: float) -> Linearised:
         """The same where the noise has also this many degrees of freedom, of another cause."""
@@ -253,29 +253,29 @@ class Linearised:
 
 class _WavesLeft(NamedTuple):
     """Errors that a discrepancy has no waves for. left: (R, w) columns by which they move the
-    equations beside what the fit made of them; moved: (n_all, w) that; of: those of the held
-    machine."""
+    equations beside what the fit made of them; moved: (n_all, w) that; held: the waves, moving
+    what is held alone."""
 
     left: Array
     moved: Array
-    of: tuple[FurtherWaves, ...]
+    held: tuple[FurtherWaves, ...]
 
     @classmethod
     def at(cls, placement: Replaced, calibrated: Calibrated) -> _WavesLeft:
         problem, n = placement.problem, len(calibrated.nominal)
-        structure, waves = problem.mechanism.structure, calibrated.further_waves
-        if structure is None or not waves:
+        waves = calibrated.further_waves
+        if not waves:
             return cls(np.zeros((len(placement.e), 0)), np.zeros((n, 0)), ())
         names, every = problem.mechanism.tape.quantities, problem.mechanism.parameters.names
         x = problem.readings + placement.corrections
-        held = np.diag((~placement.anew).astype(float))
-        of, smooths = tuple(one.through(held) for one in waves), structure.smooth.values()
+        stays = np.diag((~placement.anew).astype(float))
+        held = tuple(one.through(stays) for one in waves)
         left = []
         for rows in placement.rows:
             readings = dict(zip(names, x[:, rows.poses], strict=True))
-            errors = wave_errors(of, smooths, rows.J, rows.J, readings, every)
-            left.append(errors.left.reshape(rows.e.size, -1))
-        return cls(np.concatenate(left), np.hstack([one.moved for one in waves]), of)
+            errors = wave_errors(held, rows.J, rows.J, readings, every)
+            left.append(errors.left.reshape(rows.e.size, errors.left.shape[2]))
+        return cls(np.concatenate(left), np.hstack([one.moved for one in waves]), held)
 
 
 def _freedoms(changes: Array, noise: float) -> Array:

@@ -182,8 +182,6 @@ def predictive(
         shared = SameRun.of(fit, problem, held.corrections, drifting, run)
     learnt = () if shared is not None else fit.learnt_noise
     waves = () if shared is not None or drifting is not None else further_waves(fit)
-    structure = problem.mechanism.structure
-    smooths = [] if structure is None else structure.smooth.values()
     x = dict(
         zip(problem.mechanism.tape.quantities, problem.readings + held.corrections, strict=True)
     )
@@ -231,10 +229,9 @@ def predictive(
                     G = block.G[:, :, block.owner == j]
                     slopes += np.multiply.outer(relative, G @ np.swapaxes(G, -1, -2))
             total = covariance.plus(LearntCovariance(W + beside, W + beside, slopes))
-            if waves:
-                at = {q: row[poses] for q, row in x.items()}
-                errors = wave_errors(waves, smooths, alone, block.J, at, fit.estimated)
-                total = replace(total, matrix=total.matrix + errors.changed)
+            at = {q: row[poses] for q, row in x.items()}
+            changed = wave_errors(waves, alone, block.J, at, fit.estimated).changed
+            total = replace(total, matrix=total.matrix + changed)
         densities = _densities(block, W, total.matrix, free, limit / scale)
         if densities is None:
             return None

@@ -157,7 +157,7 @@ class Predictor:
             seen=self.seen,
             printed=self.printed,
             further_waves=tuple(
-                FurtherWavesEntry(one.body, one.sd, tuple(map(tuple, one.moved.tolist())))
+                FurtherWavesEntry(one.smooth.body, one.sd, tuple(map(tuple, one.moved.tolist())))
                 for one in scaled(self.further_waves, 1.0 / self.factor)
             ),
         )
@@ -222,7 +222,7 @@ def predictor_of(document: ResultDocument, mechanism: Mechanism) -> Predictor:
         smooth_errors=stored.smooth_errors,
         seen=stored.seen,
         printed=stored.printed,
-        further_waves=scaled(stored_waves(stored), residual_factor(rejected)),
+        further_waves=scaled(stored_waves(stored, mechanism), residual_factor(rejected)),
     )
 
 
@@ -434,11 +434,8 @@ def by_further_waves(
     nearly Z b, what the waves do themselves; far away it is not. The error is (Z - S F) b in place
     of S F b.
     """
-    structure, waves = calibrated.mechanism.structure, calibrated.further_waves
-    if structure is None or not waves:
-        return np.zeros((len(S), 1, 1))
-    smooths = structure.smooth.values()
-    return wave_errors(waves, smooths, S, slopes, readings, calibrated.names).changed
+    waves = calibrated.further_waves
+    return wave_errors(waves, S, slopes, readings, calibrated.names).changed
 
 
 def _with_prints(

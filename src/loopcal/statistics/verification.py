@@ -413,12 +413,10 @@ def _expected(
     g = placement.directions.shape[1]
     follows = placement.directions @ (linear.solve @ linear.A)[:g]
     machine = S.by_parameter @ (follows - linear.root)
-    if mechanism.structure is not None and linear.further_waves:
-        smooths = mechanism.structure.smooth.values()
-        readings, slopes = dict(zip(names, x, strict=True)), S.by_parameter
-        which = linear.further_waves, smooths
-        errors = wave_errors(*which, slopes, slopes, readings, mechanism.parameters.names)
-        machine[:, :, : errors.left.shape[2]] -= errors.left + errors.taken
+    readings, slopes = dict(zip(names, x, strict=True)), S.by_parameter
+    waves, order = linear.further_waves, mechanism.parameters.names
+    errors = wave_errors(waves, slopes, slopes, readings, order)
+    machine[:, :, : errors.left.shape[2]] -= errors.left + errors.taken
     noise = _reading_noise(problem, S.by_reading, outputs, residual)
     # The placement takes up as many equations as it has rank, and their share of the noise.
     left = (len(linear.e) - linear.rank) / max(len(linear.e), 1)

@@ -294,7 +294,7 @@ _MOST = 60
 """Vectors k of the discrepancy and of the waves that follow, together."""
 
 
-class Gain(NamedTuple):
+class GainByWaves(NamedTuple):
     """waves: those that the discrepancy of a body leaves out; matrix: (k, k) what the covariance
     of z gains by them, tau^2 B B^T + (sigma^2 - 1) H."""
 
@@ -304,7 +304,7 @@ class Gain(NamedTuple):
 
 def gains_by_waves(
     problem: Problem, corrections: Array, equations: Sequence[PoseEquations], root: Array
-) -> tuple[Gain, ...]:
+) -> tuple[GainByWaves, ...]:
     """By the waves that the discrepancies leave out, by body.
 
     equations: of the poses where the fit ended; root: (n, k), dp = root z. None without a
@@ -323,7 +323,7 @@ def _of_body(
     equations: Sequence[PoseEquations],
     root: Array,
     smooth: Smooth,
-) -> Gain | None:
+) -> GainByWaves | None:
     following = smooth.following(_MOST)
     axes = len(smooth.columns(problem.names))
     if not following.harmonics or not axes or not equations:
@@ -347,8 +347,8 @@ def _of_body(
     gained = _gained(sums, H, square, count)
     if gained is None:
         return None
-    waves = FurtherWaves(smooth.body, gained.sd, gained.sd * root @ sums.B)
-    return Gain(waves, gained.matrix)
+    waves = FurtherWaves(smooth, gained.sd, gained.sd * root @ sums.B)
+    return GainByWaves(waves, gained.matrix)
 
 
 @dataclass(frozen=True)

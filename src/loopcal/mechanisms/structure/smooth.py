@@ -17,7 +17,7 @@ from __future__ import annotations
 import heapq
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -146,11 +146,11 @@ class WaveErrors(NamedTuple):
 class FurtherWaves:
     """Waves that the discrepancy of a body leaves out, as errors that neighbouring poses share.
 
-    sd: of each amplitude [m]; moved: F (n, w), what amplitudes of one sd do to the parameters of
-    the fit.
+    smooth: the waves that the discrepancy has; sd: of each further amplitude [m]; moved: F (n, w),
+    what amplitudes of one sd do to the parameters of the fit.
     """
 
-    body: str
+    smooth: Smooth
     sd: float
     moved: Array
 
@@ -158,14 +158,11 @@ class FurtherWaves:
         """Of other parameters, which change by M (m, n) with these."""
         return replace(self, moved=M @ self.moved)
 
-    def errors(
-        self, smooth: Smooth, S: Array, slopes: Array, readings: Values, names: Sequence[str]
-    ) -> WaveErrors:
-        """smooth: the waves that the fit has; S: (N, o, n) what parameters of these names do alone,
-        and slopes with what follows them."""
-        X = smooth.shifted(S, readings, names)
-        w = self.moved.shape[1]
-        following = smooth.following(len(smooth.harmonics) + w // (2 * X.shape[2]))
+    def errors(self, S: Array, slopes: Array, readings: Values, names: Sequence[str]) -> WaveErrors:
+        """S: (N, o, n) what parameters of these names do alone, and slopes with what follows."""
+        X = self.smooth.shifted(S, readings, names)
+        each = self.moved.shape[1] // (2 * X.shape[2])
+        following = self.smooth.following(len(self.smooth.harmonics) + each)
         G = self.sd * np.array(following.features(readings)).T
         taken = slopes @ self.moved
         return WaveErrors(taken, (X[:, :, :, None] * G[:, None, None]).reshape(taken.shape) - taken)
@@ -179,7 +176,6 @@ def scaled(waves: Sequence[FurtherWaves], factor: float) -> tuple[FurtherWaves, 
 
 def wave_errors(
     waves: Sequence[FurtherWaves],
-    smooths: Iterable[Smooth],
     S: Array,
     slopes: Array,
     readings: Values,
@@ -187,10 +183,7 @@ def wave_errors(
 ) -> WaveErrors:
     """Of all bodies, side by side."""
     none = np.zeros((*S.shape[:2], 0))
-    each = [WaveErrors(none, none)]
-    for smooth, one in itertools.product(smooths, waves):
-        if smooth.body == one.body:
-            each.append(one.errors(smooth, S, slopes, readings, names))
+    each = [WaveErrors(none, none), *(one.errors(S, slopes, readings, names) for one in waves)]
     return WaveErrors(*(np.concatenate(parts, axis=2) for parts in zip(*each, strict=True)))
 
 
