@@ -173,17 +173,15 @@ class FitResult:
             return self._smooth_part.part
         if self.drifting is not None or self.learnt is None or self.learnt.alike is None:
             return None
-        factor = self._variance_factor if self.variance_factor_applied else None
         root = self.learnt.root
-        return np.asarray((factor or 1.0) * root @ self.learnt.alike.gained @ root.T)
+        return np.asarray(self.applied_factor * root @ self.learnt.alike.gained @ root.T)
 
     @property
     def smooth_errors(self) -> SmoothErrors | None:
         """Of stated poses, for those far from these; None without, and of least squares."""
         if self.pose_part is None or self.learnt is None or self.learnt.alike is None:
             return None
-        factor = (self._variance_factor if self.variance_factor_applied else None) or 1.0
-        smooth = self.learnt.alike.smooth
+        factor, smooth = self.applied_factor, self.learnt.alike.smooth
         return smooth and replace(smooth, variances=tuple(factor * v for v in smooth.variances))
 
     def covariance_through(self, S: Array, drifting: Drifting | None) -> LearntCovariance:
@@ -218,11 +216,10 @@ class FitResult:
             return LearntCovariance.scaled(images.covariance, images.freedom)
         if method.exact:
             return self._by_residuals()
-        factor = self._variance_factor if self.variance_factor_applied else None
         if self.learnt is not None:
             learnt = self.learnt.covariance
-            return learnt if factor is None else learnt.scaled_by(factor)
-        if factor is not None:
+            return learnt.scaled_by(self.applied_factor) if self.variance_factor_applied else learnt
+        if self.variance_factor_applied:
             return self._by_residuals()
         return LearntCovariance.certain(self.spectrum.covariance())
 
@@ -334,9 +331,8 @@ class FitResult:
     @property
     def _all_sds_learnt(self) -> bool:
         """Whether chi-squared is what it is because the sds were chosen so."""
-        if self.estimate is None:
-            return False
-        return all_learnt(self.stated, [c.quantities for c in self.estimate.stated])
+        learnt = self.estimate
+        return bool(learnt and all_learnt(self.stated, [c.quantities for c in learnt.stated]))
 
     @cached_property
     def noise(self) -> tuple[NoiseEntry, ...]:
@@ -558,9 +554,12 @@ class FitResult:
                 code="unsupported",
                 remedy="use the implicit loop or reweighted method with the gaussian loss",
             )
-        if self.variance_factor_applied:
-            return self
         return replace(self, variance_factor_applied=True)
+
+    @property
+    def applied_factor(self) -> float:
+        """The variance factor by which covariance and sds were multiplied; 1 without."""
+        return (self._variance_factor or 1.0) if self.variance_factor_applied else 1.0
 
     @property
     def _variance_factor(self) -> float | None:

@@ -355,12 +355,13 @@ def _fields(entries: Sequence[LensErrorEntry], place: Array) -> tuple[LensField,
 
 def further_waves(result: FitResult) -> tuple[FurtherWaves, ...]:
     """As its covariance has them: not where poses depend on each other by time."""
-    learnt = result.learnt
-    if learnt is None or result.drifting is not None:
-        return ()
-    chi = result.chi_squared
-    factor = chi.variance_factor if chi is not None and result.variance_factor_applied else None
-    return scaled(learnt.waves, factor or 1.0)
+    return () if result.drifting is not None else waves_without_drift(result)
+
+
+def waves_without_drift(result: FitResult) -> tuple[FurtherWaves, ...]:
+    """The same where no drift is allowed for, whether or not these poses show one: the test of
+    that costs as much as what follows from it."""
+    return () if result.learnt is None else scaled(result.learnt.waves, result.applied_factor)
 
 
 def stored_waves(stored: PredictionEntry | None, mechanism: Mechanism) -> tuple[FurtherWaves, ...]:

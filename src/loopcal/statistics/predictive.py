@@ -55,7 +55,7 @@ from loopcal.measurements.dataset import Dataset
 from loopcal.measurements.noise import Noise
 from loopcal.mechanisms.structure.smooth import wave_errors
 from loopcal.small_samples import LearntCovariance, f_limit
-from loopcal.statistics.calibrated import further_waves
+from loopcal.statistics.calibrated import waves_without_drift
 from loopcal.statistics.printed import Offsets
 
 if TYPE_CHECKING:
@@ -181,7 +181,7 @@ def predictive(
     if drifting is not None and run is not None:
         shared = SameRun.of(fit, problem, held.corrections, drifting, run)
     learnt = () if shared is not None else fit.learnt_noise
-    waves = () if shared is not None or drifting is not None else further_waves(fit)
+    waves = () if shared is not None or drifting is not None else waves_without_drift(fit)
     x = dict(
         zip(problem.mechanism.tape.quantities, problem.readings + held.corrections, strict=True)
     )

@@ -313,7 +313,8 @@ def mixed_fit(model: LinearModel, joined: Joined, information: Array | None = No
     else:
         taken_up = np.zeros(model.components)
         for block, rows, W in zip(model.blocks, joined.rows, joined.W, strict=True):
-            squares = np.square(_taken_up(rows, W, solved)).sum(axis=(0, 2))
+            Y = _taken_up(_inner(rows, W, solved), W)
+            squares = np.einsum("bkn,bkn->k", Y, Y)
             taken_up += np.equal.outer(np.arange(model.components), block.owner) @ squares
     off = _off_stated(model.spreads, joined.ratios)
     score = _score(model, joined, solved.root @ solved.along, taken_up)
@@ -342,13 +343,13 @@ def _above_zero(ratios: Array) -> Array:
 class Projected:
     """What the parameters take up of each component.
 
-    H^-1 = root root^T, (n, rank); Y = W^T D root, (b, K, rank), W (b, r, K) and owner: (K,) the
-    component of each column, all by block; first: (c, rank, rank) = sum Y_j^T Y_j over all poses;
-    information: (c, c) on the ratios.
+    H^-1 = root root^T, (n, rank); inner: D root, (b, r, rank), or Y = W^T D root, (b, K, rank),
+    whichever has fewer rows, W (b, r, K) and owner: (K,) the component of each column, all by
+    block; first: (c, rank, rank) = sum Y_j^T Y_j over all poses; information: (c, c) on the ratios.
     """
 
     root: Array
-    Y: tuple[Array, ...]
+    inner: tuple[Array, ...]
     W: tuple[Array, ...]
     owners: tuple[NDArray[np.intp], ...]
     first: Array
@@ -358,9 +359,12 @@ class Projected:
         """(rank, rank) sum_jk w_jk root^T J^T V^-1 V_j V^-1 V_k V^-1 J root, w (c, c) symmetric."""
         rank = self.root.shape[1]
         total = np.zeros((rank, rank))
-        for Y, W, owner in zip(self.Y, self.W, self.owners, strict=True):
-            weighed = weights[np.ix_(owner, owner)] * (np.swapaxes(W, 1, 2) @ W)
-            total += (weighed @ Y).reshape(-1, rank).T @ Y.reshape(-1, rank)
+        for inner, W, owner in zip(self.inner, self.W, self.owners, strict=True):
+            turned = np.swapaxes(W, 1, 2)
+            weighed = weights[np.ix_(owner, owner)] * (turned @ W)
+            if not _by_columns(W):
+                weighed = W @ weighed @ turned
+            total += (weighed @ inner).reshape(-1, rank).T @ inner.reshape(-1, rank)
         return total
 
 
@@ -522,7 +526,8 @@ def _projected(model: LinearModel, joined: Joined, solved: _Solved) -> Projected
     pairs, first, every = np.zeros((count, count)), np.zeros((count, rank, rank)), []
     for block, rows, W in zip(model.blocks, joined.rows, joined.W, strict=True):
         turned = W.transpose(0, 2, 1)
-        Y = _taken_up(rows, W, solved)
+        inner = _inner(rows, W, solved)
+        Y = _taken_up(inner, W)
         C, Q = turned @ W, Y @ Y.transpose(0, 2, 1)
         members = np.equal.outer(np.arange(count), block.owner).astype(float)  # (c, K)
         # |C - Q|^2 = C C - 2 C Q + Q Q; the last part joins all pairs of poses, hence `first`.
@@ -531,7 +536,7 @@ def _projected(model: LinearModel, joined: Joined, solved: _Solved) -> Projected
             part = Y[:, columns(block.owner, j)]
             Y_j = part.reshape(part.shape[0] * part.shape[1], rank)
             first[j] += Y_j.T @ Y_j
-        every.append(Y)
+        every.append(inner)
     flat = first.reshape(count, rank * rank)
     owners = tuple(block.owner for block in model.blocks)
     information = 0.5 * (pairs + flat @ flat.T)
@@ -542,13 +547,21 @@ def _projected(model: LinearModel, joined: Joined, solved: _Solved) -> Projected
     return Projected(root, tuple(every), tuple(joined.W), owners, first, information)
 
 
-def _taken_up(rows: Array, W: Array, solved: _Solved) -> Array:
-    """Y = W^T D root (b, K, rank) of a block, by whichever of W and D has fewer rows first."""
+def _by_columns(W: Array) -> bool:
+    """Whether the columns of W (b, r, K) are fewer than its rows."""
+    return bool(W.shape[2] < W.shape[1])
+
+
+def _inner(rows: Array, W: Array, solved: _Solved) -> Array:
+    """D root of a block, or W^T D root where that has fewer rows."""
     times = rows_times_upper if solved.upper else rows_times
-    turned, D = W.transpose(0, 2, 1), rows[:, :, : len(solved.root)]
-    if W.shape[2] < W.shape[1]:
-        return times(turned @ D, solved.root)
-    return np.asarray(turned @ times(D, solved.root))
+    D = rows[:, :, : len(solved.root)]
+    return times(W.transpose(0, 2, 1) @ D if _by_columns(W) else D, solved.root)
+
+
+def _taken_up(inner: Array, W: Array) -> Array:
+    """Y = W^T D root (b, K, rank) of a block."""
+    return inner if _by_columns(W) else np.asarray(W.transpose(0, 2, 1) @ inner)
 
 
 def columns(owner: NDArray[np.intp], which: int) -> slice:

@@ -8,16 +8,19 @@ from functools import partial
 
 import numpy as np
 
+from loopcal.arrays import Array
 from loopcal.estimation.noise.linear_model import LinearModel, MixedFit, fit
-from loopcal.estimation.noise.search import Bounds, search
+from loopcal.estimation.noise.search import Bounds, scoring_step, search
 from loopcal.estimation.noise.variance_components import Estimate
 
 # A cap against an endless search: chosen, not derived.
 _MOST = 60
 """Steps of the search for a bound."""
-_ENOUGH, _ROUGHLY = 1e-6, 1e-3
-"""A profile ends where its next step promises less than this; on the way to a bound than the
-second, which leaves its logarithm right to some 1e-4."""
+_ENOUGH, _ROUGHLY = 1e-6, 0.03
+"""A profile ends where its next step promises less than this, at a bound than the second: the
+promise counts as kept, and what it is wrong by moves the logarithm of a bound by some 1e-4."""
+_FIRST, _SHARE = 0.5, 0.1
+"""The same on the way to a bound: at first, then this share of how far the rise is off."""
 # At 1e6 the rise is within 0.05 % of its limit, at 0.05 within 3 %.
 _FEW, _MANY = 0.05, 1e6
 """Degrees of freedom outside which the rise to a bound is at its limit."""
@@ -47,16 +50,23 @@ class _Profile:
         enough: the search ends where a step promises the criterion no more; informed: whether the
         information there is asked for. None where the loops have no noise.
         """
-        ratios = self.last.x.copy()
-        ratios[self.which] = ratio
-        place = fit(self.model, ratios)
+        place = fit(self.model, self._foreseen(ratio))
         if place is None:
             return None
         likelihood = partial(fit, self.model)
         end = search(likelihood, place, self.bounds, enough=enough, correcting=not informed)
         self.last = end.at
-        # The last step, which is not made, would gain what it promises to second order.
-        return replace(end.at, criterion=end.at.criterion - end.promised)
+        # The last step, which is not made, would gain what it promises to second order, and
+        # change the score as the information says.
+        score = end.at.score - end.at.information @ end.step
+        return replace(end.at, criterion=end.at.criterion - end.promised, score=score)
+
+    def _foreseen(self, ratio: float) -> Array:
+        """The ratios where this one has moved, and the others give way as the information says."""
+        moved = np.zeros(len(self.last.x))
+        moved[self.which] = ratio - self.last.x[self.which]
+        asked = replace(self.last, score=self.last.score - self.last.information @ moved)
+        return np.asarray(self.last.x + moved + scoring_step(asked, self.bounds))
 
 
 def without_component(model: LinearModel, estimate: Estimate, which: int) -> float | None:
@@ -78,7 +88,8 @@ def upper_bound(
     them. It is the upper end of a two-sided interval: a bound is asked for only where the estimate
     came out low, which is half of all draws. So it holds in `level` of these.
 
-    Found by Newton's steps in the logarithm, between what is below and what is above.
+    Found by Newton's steps of the root of the rise by the logarithm, which is nearly straight,
+    between what is below and what is above.
     """
     present = float(estimate.ratios[which])
     information = float(estimate.at.information[which, which])
@@ -86,30 +97,35 @@ def upper_bound(
         return None
     beyond, profile = 0.5 * (1.0 - level), _Profile(model, estimate, which)
     low, high = math.log(max(present, 1e-12)), math.inf
-    log_ratio = math.log(present + 1.0 / math.sqrt(information))
-    farthest = log_ratio + _FARTHEST
+    near = math.log(present + 1.0 / math.sqrt(information))
+    by_information = math.sqrt(_rise(math.inf, beyond) / _left(estimate.at, which))
+    log_ratio = min(math.log(present + by_information), near + _STRIDE)
+    farthest, enough = near + _FARTHEST, _FIRST
     before: tuple[float, float] | None = None
     for _ in range(_MOST):
         ratio = math.exp(log_ratio)
-        place = profile.at(ratio, _ROUGHLY)
+        place = profile.at(ratio, enough)
         if place is None:
             return None
         # docs/decisions/0020: a variance from m squares has the information m / (2 ratio^2).
         needed = _rise(2.0 * ratio * ratio * _left(place, which), beyond)
-        excess = place.criterion - estimate.criterion - needed
+        rise = place.criterion - estimate.criterion
         # The criterion is -2 log L, and d ratio / d log ratio = ratio.
         rising = -2.0 * ratio * float(place.score[which])
         if before is not None and before[0] != log_ratio:
             # The rise that is needed changes along the way too, here by its last chord.
-            rising -= (needed - before[1]) / (log_ratio - before[0])
+            rising -= rise / needed * (needed - before[1]) / (log_ratio - before[0])
         before = log_ratio, needed
-        if excess < 0.0:
+        if rise < needed:
             low = log_ratio
         else:
             high = log_ratio
-        step = -excess / rising if rising > 0.0 else math.inf
-        if abs(step) <= _NEARLY:
+        step = math.inf
+        if rise > 0.0 and rising > 0.0:
+            step = 2.0 * (math.sqrt(rise * needed) - rise) / rising
+        if abs(step) <= _NEARLY and enough <= _ROUGHLY:
             return math.exp(log_ratio + step)
+        enough = max(_SHARE * abs(rise - needed), _ROUGHLY)
         if math.isinf(high):
             if log_ratio > farthest:
                 return None
