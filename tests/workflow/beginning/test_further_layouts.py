@@ -58,6 +58,17 @@ def jointtargets_in_a_log(w: World, folder: Path) -> list[str]:
     return ["a.log", tracker(w, folder)]
 
 
+def jointtargets_in_tens(w: World, folder: Path) -> list[str]:
+    nines = ",".join(["9E9"] * 6)
+    lines = [
+        f"  CONST jointtarget p{10 * i}:=[[{','.join(f'{v:.6f}' for v in q)}],[{nines}]];"
+        for i, q in enumerate(w.shown(w.read), 1)
+    ]
+    text = "\n".join(["MODULE Poses", *lines, "ENDMODULE", ""])
+    (folder / "a.mod").write_text(text, "utf-8")
+    return ["a.mod", tracker(w, folder, slice(None, None, -1))]
+
+
 def a_file_per_column(w: World, folder: Path) -> list[str]:
     columns = {**joints(w), **xyz("{}", w.points, "XYZ")}
     return [
@@ -172,6 +183,7 @@ def turns_of_a_kawasaki(w: World, folder: Path) -> list[str]:
         unstated_arcminutes,
         measured_twice,
         jointtargets_in_a_log,
+        jointtargets_in_tens,
         a_file_per_column,
         unit_vectors,
         structs,

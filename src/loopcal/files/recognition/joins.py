@@ -6,6 +6,7 @@ mutual, and nearer than a quarter of the time between two rows.
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from collections.abc import Collection, Sequence
@@ -65,7 +66,8 @@ def joined(sources: Sequence[Source]) -> Fields:
     if all(s.ids is not None for s in sources):
         others = [set(s.ids or ()) for s in sources[1:]]
         common = [i for i in first.ids or () if all(i in ids for ids in others)]
-        if common:
+        by_chance = 2 * len(common) <= min(map(len, sources)) and in_numbers(sources)
+        if common and not by_chance:
             return _by_ids(sources, common)
     if alike := _by_other_names(sources):
         return alike
@@ -169,9 +171,10 @@ def in_numbers(sources: Sequence[Source]) -> tuple[list[Source], list[str]] | No
     """The tables with the ids of the first where the numbers in them agree, and those in all; None
     where numbers repeat, or less than half of a table is in all.
 
-    Where a table has no ids, an unnamed first column that counts takes their place.
+    Where a table has no ids, an unnamed first column that counts takes their place. Tables may
+    count in unlike steps: a robot's program has its poses p10, p20, ... of the points 1, 2, ...
     """
-    numbered, names = [], dict[str, str]()
+    every = list[tuple[Source, tuple[str, ...], tuple[int, ...]]]()
     for source in sources:
         ids, rest = source.ids, source.fields
         if ids is None:
@@ -181,16 +184,23 @@ def in_numbers(sources: Sequence[Source]) -> tuple[list[Source], list[str]] | No
             ids = tuple(f"{value:.0f}" for value in column.values)
             rest = tuple(f for f in rest if f is not column)
         matches = [_NUMBERED.fullmatch(name) for name in ids]
-        numbers = tuple(match["number"] for match in matches if match)
+        numbers = tuple(int(match["number"]) for match in matches if match)
         if not len(ids) == len(numbers) == len({*numbers}):
             return None
-        names = dict(zip(numbers, ids, strict=True)) | names
         # A project joins files by equal ids alone: these readings go into a file of their own.
-        numbered.append(replace(source, ids=numbers, fields=rest, path=None, label=source.name))
-    numbered = [replace(s, ids=tuple(names[i] for i in s.ids or ())) for s in numbered]
-    others = [{*(s.ids or ())} for s in numbered[1:]]
-    common = [name for name in numbered[0].ids or () if all(name in ids for ids in others)]
-    return (numbered, common) if 2 * len(common) > min(map(len, sources)) else None
+        every.append((replace(source, fields=rest, path=None, label=source.name), ids, numbers))
+    steps = [max(math.gcd(*numbers), 1) for _, _, numbers in every]
+    for divisors in ([1] * len(every), steps):
+        numbered, names = [], dict[int, str]()
+        for (source, ids, numbers), step in zip(every, divisors, strict=True):
+            counts = [number // step for number in numbers]
+            names = dict(zip(counts, ids, strict=True)) | names
+            numbered.append(replace(source, ids=tuple(names[count] for count in counts)))
+        others = [{*(s.ids or ())} for s in numbered[1:]]
+        common = [name for name in numbered[0].ids or () if all(name in ids for ids in others)]
+        if 2 * len(common) > min(map(len, sources)):
+            return numbered, common
+    return None
 
 
 def _counts(values: Array) -> bool:
