@@ -463,3 +463,22 @@ def test_legs_that_no_platform_has_are_refused(tmp_path: Path) -> None:
     (tmp_path / "m.toml").write_text('schema = 1\ntype = "stewart-gough"\n', "utf-8")
     with refused("implausible-readings", "does not describe", "those left out have the values"):
         lc.init(tmp_path / "a.csv", machine=str(tmp_path / "m.toml"))
+
+
+def test_later_columns_called_as_the_joints_are_no_radians(tmp_path: Path) -> None:
+    """The first day was converted to rad, in columns of the same names: degrees were taken so."""
+    world = World("six", 8)
+    described(world, tmp_path)
+    first = [tmp_path / name for name in jointtargets_in_tens(world, tmp_path)]
+    lc.init(*first, dh=tmp_path / "dh.csv", out=tmp_path / "cal")
+    project = lc.read_project(tmp_path / "cal" / "project.toml")
+    degrees = of(project.mechanism.joints, np.degrees(world.read))
+    later = tmp_path / written(tmp_path / "later.csv", degrees, digits=9)
+    with refused("missing-column", "later.csv"):
+        new_readings(later, project.inputs, project.mechanism)
+    columns = {**degrees, **of("xyz", 1e3 * world.points)}
+    both = tmp_path / written(tmp_path / "both.csv", columns, digits=9)
+    read = new_readings(both, project.inputs, project.mechanism, whole=True)
+    for i, name in enumerate(project.mechanism.joints):
+        assert np.allclose(read[name], world.read[:, i], atol=1e-6)
+    assert np.allclose(read["x"], world.points[:, 0], atol=1e-6)

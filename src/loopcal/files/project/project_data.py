@@ -338,6 +338,8 @@ def read_new_readings(
             )
     pose_column = spec.pose if spec.pose in labels or isinstance(spec.pose, int) else None
     dataset = read_dataset(source, columns, pose=pose_column, **spec.keywords)
+    if spec.source is not None:  # a file of the user's may call its columns alike
+        refuse_implausible(dataset, {q: units[q] for q in columns})
     for quantity in [q for q, column in columns.items() if column.unit is None]:
         try:
             refuse_implausible(dataset, {quantity: units[quantity]})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -461,19 +461,14 @@ def _entry(sd: float, si: str, readings: list[Reading], shown: str) -> dict[str,
     }
 
 
-def converted_name(quantity: str, si: str, labels: Collection[str]) -> str:
-    """A column of the converted file; labels: of the user's, whose names mean other numbers."""
-    return f"{quantity} [{si}]" if quantity in labels else quantity
-
-
 def _data(
     fields: Fields, readings: Mapping[str, Reading], converted: bool, folder: Path
 ) -> list[dict[str, Any]]:
     """A table for each file that holds readings."""
     if converted:
-        labels = {f.label for f in fields.fields}
+        # The unit in each name: columns of the user's files may be called as the quantities are.
         columns = {
-            n: {"column": converted_name(n, r.si, labels), "unit": r.si}
+            n: {"column": f"{n} [{r.si}]", "unit": r.si}
             | ({} if r.sds is None else {"sd_column": f"{n}{SDS}"})
             for n, r in readings.items()
         }
