@@ -65,9 +65,9 @@ ANOTHER_DAY = (
     ),
     _not_consistent(
         "re-master-slides",
-        "The machine is not as calibrated: a spindle or column grew, or {changes}.",
-        "Verify at the temperature of the calibration: a spindle or column that grew looks the "
-        "same. If it stays, re-master {joints}, or update the calibration with these poses.",
+        "The machine is not as calibrated: a spindle, column or leg grew, or {changes}.",
+        "Verify at the temperature of the calibration: a spindle, column or leg that grew looks "
+        "the same. If it stays, re-master {joints}, or update the calibration with these poses.",
         _VERIFY,
         shared="re-master",
     ),
