@@ -98,6 +98,26 @@ def test_least_squares_is_judged_by_f_with_the_freedom_of_its_residuals() -> Non
     assert np.mean(np.array(p) < LEVEL) < LEVEL + 4 * np.sqrt(LEVEL * (1 - LEVEL) / len(p))
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_the_zeros_of_many_joints_are_named_as_after_a_loss_of_masters(seed: int) -> None:
+    """More than three changes were called another machine of this type."""
+    arm, rng = ma1400(40), np.random.default_rng(seed)
+    first = calibrated(arm, seed, 40, estimate=False)
+    day = elsewhere(arm, 3 + seed, 24).read(sds_of(arm), 20 + seed)
+    joints = [f"theta_{i}" for i in range(2, 7)]
+    off = dict(zip(joints, rng.choice([-1.0, 1.0], 5) * rng.uniform(3e-3, 9e-3, 5), strict=True))
+    readings = {q: day[q] + off.get(q, 0.0) for q in arm.truth.quantities}
+    found = lc.verify(first, lc.Dataset.from_arrays(readings))
+    assert found.changes is not None
+    assert found.changes.verdict == "re-master"
+    assert set(found.changes.joints) == set(joints)
+    for change in found.changes.found:
+        assert abs(change.value + off[change.name]) < 4.0 * change.sd
+    another = {q: v + 1e-3 * np.sin(3.0 * v) * (q in joints) for q, v in readings.items()}
+    found = lc.verify(first, lc.Dataset.from_arrays(another))
+    assert found.changes is None or found.changes.verdict != "re-master"
+
+
 def test_a_machine_whose_placement_is_its_own_parameters_is_moved_as_a_whole() -> None:
     arm = ma1400(40)
     other = elsewhere(arm, 3, 20)

@@ -40,10 +40,11 @@ from loopcal.small_samples import f_limit, f_tail, t_quantile
 from loopcal.statistics import changed
 from loopcal.statistics.another_day import Day
 from loopcal.statistics.changed import LEVEL, PLACED, POWER, Candidate, Change, WhatChanged
+from loopcal.statistics.day_causes import Causes
 from loopcal.statistics.estimated import Estimated
 from loopcal.statistics.innovation import Innovation, Linearised
-from loopcal.statistics.possible_changes import BETWEEN_DAYS, Possible, as_learnt, possible, sd_of
-from loopcal.statistics.replacing import ASTRAY, Replaced
+from loopcal.statistics.possible_changes import sd_of
+from loopcal.statistics.replacing import ASTRAY
 
 # Chosen, not derived: a cap, and a step that changes no p-value.
 _ROUNDS, _SETTLED = 8, 1e-3
@@ -94,7 +95,7 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
     """
     if linear.innovation().p_value is None:
         return None
-    causes = _Causes.of(day, linear)
+    causes = Causes.of(day, linear)
     begun = system = _System.of(day, causes, linear, np.zeros(len(causes.owner)))
     # What an unsound model lacks is as large in other poses, and looks like changes there.
     expected = changed.LARGER**2 * (len(linear.e) - linear.rank)
@@ -125,6 +126,10 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
             chosen, system = kept, system.settled(kept)
             apart = {j: system.tests([i for i in kept if i != j]) for j in kept}
             p_values |= {j: tests[j] for j, tests in apart.items() if j in tests}
+    more = len(chosen) == changed.SOUGHT and not system.explained(chosen)
+    if more and (zeros := _mastering(begun)) is not None:
+        chosen, system, p_values = zeros
+        rivals = dict.fromkeys(chosen, ())
     halved = _HALVED if begun.spread > changed.LARGER**2 else np.inf
     if system.present > (_EXPLAINED if system.astray else halved) * begun.present:
         chosen, system = (), begun
@@ -144,65 +149,25 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
     return Explained(what, system.linear, columns, system.columns(few))
 
 
+def _mastering(begun: _System) -> tuple[tuple[int, ...], _System, dict[int, float]] | None:
+    """The zeros of all joints that moved, as after a loss of their masters, with the p-value of
+    each; None where these do not explain the poses."""
+    causes = begun.causes.causes
+    zeros = tuple(i for i in begun.heads if causes[i].kind == "zero")
+    end = begun.settled(zeros) if zeros else begun
+    if not end.explained(zeros) or len(kept := end.kept(zeros)) < changed.SOUGHT:
+        return None
+    end = end.settled(kept)
+    apart = {j: end.tests([i for i in kept if i != j]).get(j, 1.0) for j in kept}
+    return (kept, end, apart) if end.explained(kept) and not end.too_far(kept) else None
+
+
 def _without(
     far: Sequence[int], chosen: tuple[int, ...], system: _System, begun: _System
 ) -> tuple[tuple[int, ...], _System]:
     """The changes accepted so far, without those that no machine can have."""
     kept = tuple(i for i in chosen if i not in far)
     return (chosen, system) if kept == chosen else (kept, begun.settled(kept) if kept else begun)
-
-
-@dataclass(frozen=True, eq=False)
-class _Causes:
-    """What may have changed of all that is held: causes with m directions in all.
-
-    names: (n,) of what they move; W: (n, m) by how much; owner: (m,) the cause of each direction;
-    units: (m,) of the directions.
-    """
-
-    causes: tuple[Possible, ...]
-    names: tuple[str, ...]
-    W: Array
-    owner: NDArray[np.intp]
-    units: NDArray[np.str_]
-
-    @classmethod
-    def of(cls, day: Day, linear: Linearised) -> _Causes:
-        """Without what is placed anew."""
-        placement, problem = linear.placement, linear.placement.problem
-        anew = dict(zip(problem.mechanism.parameters.names, placement.anew, strict=True))
-        causes, before = list[Possible](), day.calibrated
-        for one in possible(problem, BETWEEN_DAYS):
-            held = tuple(n for n in one.names if not anew.get(n))
-            if held and (held == one.names or not one.parts):
-                one = replace(one, names=held)
-                causes += as_learnt(one, before.prior_sd, before.covariance.matrix, linear)
-        directions = [(i, d) for i, one in enumerate(causes) for d in one.directions]
-        names = tuple(dict.fromkeys(n for _, d in directions for n in d))
-        W = np.zeros((len(names), len(directions)))
-        for column, (_, direction) in enumerate(directions):
-            for name, amount in direction.items():
-                W[names.index(name), column] = amount
-        owner = np.array([i for i, _ in directions], dtype=np.intp)
-        units = np.array([unit for one in causes for unit in one.part_units(problem)], dtype=str)
-        return cls(tuple(causes), names, W, owner, units)
-
-    def columns(self, placement: Replaced) -> Array:
-        """(R, m)"""
-        return np.asarray(placement.columns(self.names) @ self.W)
-
-    def changes(self, t: Array) -> dict[str, float]:
-        """By name [SI], of changes t (m,)."""
-        moved = self.W @ t
-        return {self.names[i]: float(moved[i]) for i in np.flatnonzero(moved).tolist()}
-
-    def joined(self, chosen: Sequence[int], j: int) -> tuple[int, ...]:
-        """With a further cause, which may be one of them in more parts."""
-        return (*(i for i in chosen if self.causes[i].called != self.causes[j].called), j)
-
-    def rows(self, i: int) -> NDArray[np.intp]:
-        """The directions of a cause."""
-        return np.flatnonzero(self.owner == i)
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,7 +182,7 @@ class _System:
     """
 
     day: Day
-    causes: _Causes
+    causes: Causes
     G: Array
     g: Array
     t: Array
@@ -233,7 +198,7 @@ class _System:
     spread: float
 
     @classmethod
-    def of(cls, day: Day, causes: _Causes, linear: Linearised, t: Array) -> _System:
+    def of(cls, day: Day, causes: Causes, linear: Linearised, t: Array) -> _System:
         """The tests where the machine has changed by t."""
         raw = causes.columns(linear.placement) / np.sqrt(linear.factor)
         U = raw - linear.F @ (linear.solve @ raw)
@@ -325,6 +290,11 @@ class _System:
             return Innovation.of(value, self.every.rank - together.rank, self.scale_freedom)
         total = self.linear.innovation().value
         return self.linear.innovation(total - self.value + together.gain, together.rank)
+
+    def explained(self, chosen: Sequence[int]) -> bool:
+        """Whether nothing significant is left after these changes."""
+        left = self.innovation(chosen).p_value
+        return left is None or left >= LEVEL
 
     @property
     def astray(self) -> bool:
@@ -588,7 +558,7 @@ class _System:
         return tuple(tested.values())
 
 
-def _groups(causes: _Causes, alike: Array, visible: NDArray[np.bool_]) -> NDArray[np.intp]:
+def _groups(causes: Causes, alike: Array, visible: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Of each cause the first that does the same: of one direction, with the same column."""
     count = np.bincount(causes.owner, minlength=len(causes.causes))
     single = visible & (count[causes.owner] == 1)
