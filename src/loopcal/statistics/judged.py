@@ -6,6 +6,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from loopcal.document.choice import DECISIVE
 from loopcal.errors import InputError, LoopcalError, NoTrustworthyResult
 from loopcal.estimation.noise.term_parts import Worth, gain, idle, support
@@ -25,6 +27,8 @@ _ABSENT = 2.0 * math.log(5.0)
 # docs/decisions/0142.
 _ONE_SD = 1.0
 """By so much -2 log of the likelihood rises where a stated sd is off by one sd of its logarithm."""
+_TOO_COARSE = 2.5
+"""An instrument that errs by more times its stated sd is no likelier a cause than the machine."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,15 +161,15 @@ def _with_fewer_terms(case: Case, one: Judged, whole: FitResult, rule: Rule) -> 
 
 def _by_sensors(one: Judged, whole: FitResult) -> Entrant | None:
     """The candidate whose sensors make all noise; None where the machine's own error was stated,
-    gains more than an instrument that is as far off its stated sd as that is known, or is what a
-    smooth discrepancy leaves."""
+    gains more than an instrument that is as far off its stated sd as that is known, would make an
+    instrument err by far more than stated, or is what a smooth discrepancy leaves."""
     case = one.entrant.case
     if case.noise is None or case.fit.method.exact or MODEL in case.noise.entries:
         return None
     if any(term.name == DISCREPANCY for term in case.mechanism.terms):
         return None
     gain = _gain_of_model(whole)
-    if gain is None or gain > _ONE_SD:
+    if gain is None or gain > _ONE_SD or _beyond_stated(whole) > _TOO_COARSE:
         return None
     return replace(one.entrant, case=replace(case, noise=case.noise.with_exact(MODEL)))
 
@@ -180,6 +184,21 @@ def _gain_of_model(whole: FitResult) -> float | None:
         if white & set(component.quantities) and whole.estimate.factors[component.name] > 0.0:
             return whole.estimate.gain(i)
     return None
+
+
+def _beyond_stated(whole: FitResult) -> float:
+    """How many times its stated sd an instrument would err, if all white noise were its own."""
+    assert whole.estimate is not None
+    names, sd = whole.mechanism.tape.quantities, whole.problem.uncertainty.sd
+    white = [float(np.median(sd[names.index(n)])) for n in whole.mechanism.disturbances]
+    times = [1.0]
+    for component in whole.estimate.stated:
+        read = [i for i in component.quantities if names[i] in whole.mechanism.outputs]
+        factor = whole.estimate.factors[component.name]
+        if read and factor > 0.0:
+            learnt = float(np.median(sd[read]))
+            times.append(factor * math.hypot(learnt, max(white, default=0.0)) / learnt)
+    return max(times)
 
 
 def _begun_with(mechanism: Mechanism, whole: FitResult) -> Mechanism:
