@@ -84,14 +84,16 @@ class Allowance:
 
     drift: (n_all, k) steps [SI] of one sd of each independent change; check: whether the readings
     are of the calibrated machine after it; words: a remark on each change that the check found and
-    the update follows; grown: (2, n_all) of a scale that is followed (`Drifting.grown`); moved: by
-    how much these are elsewhere [SI], where they explain the readings.
+    the update follows; grown: (2, n_all) of a scale that is followed (`Drifting.grown`); scale: its
+    change and the sd of that, where the check named it; moved: by how much these are elsewhere
+    [SI], where they explain the readings.
     """
 
     drift: Array
     check: Verification
     words: tuple[str, ...] = ()
     grown: Array | None = None
+    scale: tuple[float, float] | None = None
     moved: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -137,7 +139,8 @@ def allowed(calibrated: Calibrated, data: Dataset, since: Since, noise: Noise | 
         columns = drifting.halfway(moved).columns(sds)
         wider = checked(np.hstack([allowance.drift, columns]), moved)
         words = tuple(followed_words(change, sds) for change in changes)
-        wider = replace(wider, words=words, grown=drifting.grown(sds), moved=moved)
+        scale = next(((c.value, c.sd) for c in changes if c.name == EXPANSION), None)
+        wider = replace(wider, words=words, grown=drifting.grown(sds), scale=scale, moved=moved)
         return wider if wider.explained else allowance
 
     every = checked(drifting.columns(drifting.stated(since.drift)))

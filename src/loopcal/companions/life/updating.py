@@ -234,7 +234,7 @@ def updated(
             else calibrated.terms
         )
         noted = () if held else calibrated.noise
-        either = _Either.of(result, grown, prior, placed.anew)
+        either = _Either.of(result, grown, prior, placed.anew, allowance.scale)
         handed_on = Inherited(
             prior.widened(result) + either.covariance, terms, noted, calibrated.conditions
         )
@@ -400,7 +400,8 @@ class _Either:
     likely: about the estimate s that is a variance of s^2 / 2, along all that a scale changes. With
     K the rows of the prior, r = K (p - p_0) and g what a scale of the machine alone changes, s is
     that of generalised least squares, s = g^T K^T r / |K g|^2: parts that the earlier poses hardly
-    knew say little of it.
+    knew say little of it. Where the whole machine is let drift besides, it takes up a scale as
+    well, and the one that the check named counts.
     covariance: (n, n) [SI] that it adds to the estimated parameters; scales: of the document.
     """
 
@@ -409,9 +410,15 @@ class _Either:
 
     @classmethod
     def of(
-        cls, result: FitResult, grown: Array | None, prior: _Prior, anew: NDArray[np.bool_]
+        cls,
+        result: FitResult,
+        grown: Array | None,
+        prior: _Prior,
+        anew: NDArray[np.bool_],
+        named: tuple[float, float] | None,
     ) -> _Either:
-        """grown: (2, n_all), see `Drifting.grown`; anew: (n_all,) what was placed anew."""
+        """grown: (2, n_all), see `Drifting.grown`; anew: (n_all,) what was placed anew; named: the
+        scale that the check named, and its sd."""
         free = list(result.problem.free)
         if grown is None or not (kept := np.where(anew, 0.0, grown)[:, free]).any():
             return cls(np.zeros((len(free), len(free))))
@@ -422,6 +429,8 @@ class _Either:
         since = change.values + change.slopes @ prior.moved[prior.free]
         scale = along @ since / (along @ along)
         sd = np.sqrt(weights @ result.spectrum.covariance() @ weights)
+        if named is not None and abs(named[0]) > abs(scale):
+            scale, sd = named
         entry = scale_of_all(result.problem, float(scale), float(sd))
         return cls(0.5 * scale**2 * np.outer(every, every), (entry,))
 

@@ -1,5 +1,6 @@
 """An update after another scale, where a length that the poses hardly show takes part in it: the
-last axis of a palletiser is vertical, so its tool's height and that of its base are one.
+last axis of a palletiser is vertical, so its tool's height and that of its base are one. And where
+the whole machine is let drift, which takes up most of a scale.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from analyses.gauntlet_asked import asked
 from analyses.gauntlet_days import another_scale, made
@@ -15,8 +17,11 @@ from analyses.gauntlet_kinds import KINDS
 from analyses.lives_truth import write_readings
 
 
-def test_a_length_that_no_pose_shows_says_nothing_of_a_scale(tmp_path: Path) -> None:
-    user, rng = KINDS["palletiser"].machine(3), np.random.default_rng(7)
+@pytest.mark.parametrize(
+    ("kind", "draw"), [("palletiser", 3), ("the fleet", 72003), ("the fleet", 72004)]
+)
+def test_a_scale_that_is_followed_is_stated_in_full(tmp_path: Path, kind: str, draw: int) -> None:
+    user, rng = KINDS[kind].machine(draw), np.random.default_rng(7)
     for name, event in {"first": None, "later": another_scale}.items():
         day, _ = made(user, 40, rng, event)
         write_readings(tmp_path / f"{name}.csv", user, day.joints, day.points, day.columns)
