@@ -241,3 +241,13 @@ def test_a_rate_has_the_interval_of_its_number_of_draws() -> None:
 def test_there_are_kinds_enough() -> None:
     assert len(CLEAN) >= 20
     assert len(KINDS) == len(CLEAN) + len(FIRST) + len(LATER) + len(IMAGES) >= 70
+
+
+@pytest.mark.parametrize(
+    ("kind", "code"), [("three reflectors", "sound"), ("zero moves", "changes-modelled")]
+)
+def test_play_of_joints_in_a_raster_is_no_change(tmp_path: Path, kind: str, code: str) -> None:
+    """At every turn of the raster play looks like a step of a joint's zero; 0.05 deg is one."""
+    answer = answered(kind, 72010, tmp_path)
+    assert (answer["wear"], answer["order"]) == ("sagging with backlash", "raster")
+    assert answer["codes"][0] == code

@@ -283,6 +283,7 @@ class Search:
         followed = order_by_joints(joints) if any(step.ramp for step in steps) else 1.0
         cosines = path_cosines(joints)
         smooth = self._smooth(fit, steps, cosines) if cosines > _WAVES else []
+        smooth += self._played(fit, steps)
         clear = [step for step in steps if step.ramp or step not in smooth]
         if followed < FOLLOWED:
             return [s for s in clear if not s.ramp or s.candidate.change.kind in DRIFTING]
@@ -309,6 +310,17 @@ class Search:
                 edges[i] = max(edges[i], beside, key=lambda edge: edge.log_p(fit.spare))
         unclear = [edge.log_p(fit.spare) >= math.log(_EDGE) for edge in edges]
         return [step for step, smooth in zip(sudden, unclear, strict=True) if smooth]
+
+    def _played(self, fit: Fitted, steps: Sequence[_Step]) -> list[_Step]:
+        """The steps that play of joints explains, which turn where poses are sorted or a raster."""
+        played = fit.beside(self.system.play())
+        return [
+            step
+            for step in steps
+            if not step.ramp
+            and self._without(played, steps, step).step(step.columns).log_p(fit.spare)
+            >= math.log(_EDGE)
+        ]
 
     def _point(self, fit: Fitted, steps: Sequence[_Step], step: _Step) -> ChangePoint:
         """One of the steps of a fit beside all others, with its size; parts of the machine that

@@ -145,6 +145,13 @@ class OrderedSystem:
         phase = np.pi * (np.arange(N) + 0.5) / N
         return [np.cos(j * phase)[:, None, None] * along for j in range(1, count + 1)]
 
+    def play(self) -> Array:
+        """(N, R, j) of play in each joint: half of it behind the way from the pose before."""
+        rows = joint_rows(self.problem)
+        ways = np.sign(np.diff(self.problem.readings[rows][:, self.order], prepend=np.nan))
+        ways = np.nan_to_num(ways).T
+        return np.asarray(self.X[:, :, rows] * ways[:, None, :])
+
     @cached_property
     def equations(self) -> NDArray[np.intp]:
         """(N,) rows of each pose, at least 1."""
