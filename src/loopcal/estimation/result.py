@@ -554,7 +554,7 @@ class FitResult:
                 code="unsupported",
                 remedy="use the implicit loop or reweighted method with the gaussian loss",
             )
-        return replace(self, variance_factor_applied=True)
+        return self if self.variance_factor_applied else replace(self, variance_factor_applied=True)
 
     @property
     def applied_factor(self) -> float:
