@@ -476,6 +476,11 @@ def test_later_columns_called_as_the_joints_are_no_radians(tmp_path: Path) -> No
     later = tmp_path / written(tmp_path / "later.csv", degrees, digits=9)
     with refused("missing-column", "later.csv"):
         new_readings(later, project.inputs, project.mechanism)
+    stated = {f"{name} [deg]": values for name, values in degrees.items()}
+    later = tmp_path / written(tmp_path / "stated.csv", stated, digits=9)
+    read = new_readings(later, project.inputs, project.mechanism)
+    for i, name in enumerate(project.mechanism.joints):
+        assert np.allclose(read[name], world.read[:, i], atol=1e-6)
     columns = {**degrees, **of("xyz", 1e3 * world.points)}
     both = tmp_path / written(tmp_path / "both.csv", columns, digits=9)
     read = new_readings(both, project.inputs, project.mechanism, whole=True)

@@ -339,7 +339,8 @@ def read_new_readings(
     pose_column = spec.pose if spec.pose in labels or isinstance(spec.pose, int) else None
     dataset = read_dataset(source, columns, pose=pose_column, **spec.keywords)
     if spec.source is not None:  # a file of the user's may call its columns alike
-        refuse_implausible(dataset, {q: units[q] for q in columns})
+        own = columns.keys() - dataset.source.trusted
+        refuse_implausible(dataset, {q: units[q] for q in own})
     for quantity in [q for q, column in columns.items() if column.unit is None]:
         try:
             refuse_implausible(dataset, {quantity: units[quantity]})
@@ -374,15 +375,19 @@ def _is_converted(paths: Sequence[Any], spec: DataTable, wanted: Set[str]) -> bo
 
 def _has_columns(path: Any, spec: DataTable, quantities: Set[str]) -> bool:
     """Whether a file has the columns in which the project reads these quantities, in those of their
-    names where it states none."""
+    names where it states none; or columns of these names that state a unit."""
     if not isinstance(path, str | Path):
         return False
     try:
         labels = column_labels(read_once(path, **spec.keywords))
     except InputError:  # of a table below titles, which only its source describes
         return False
+    from loopcal.files.recognition.headers import heading
+
     columns = {q: c.column for part in spec.parts for q, c in part.columns.items()}
-    return {columns.get(q, q) for q in quantities} <= {*labels}
+    stated = {one.stem for one in map(heading, labels) if one.unit}
+    wanted = {columns.get(q, q) for q in quantities}.difference(labels)
+    return all(heading(str(column)).stem in stated for column in wanted)
 
 
 def _spec(inputs: Mapping[str, Any], mechanism: Mechanism) -> DataTable:

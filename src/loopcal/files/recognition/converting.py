@@ -292,7 +292,8 @@ def _needed(fields: Fields, key: str | int) -> Field:
             code="missing-column",
             place=fields.sources[0].name,
             remedy="name all files of the day, with the columns of the first ones, which "
-            "[data.source] of the project lists",
+            "[data.source] of the project lists; or call columns as the machine calls its joints, "
+            "with the unit, such as J1 [deg]",
         )
     return column
 
