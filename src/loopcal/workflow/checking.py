@@ -28,7 +28,13 @@ from loopcal.statistics.verification import verify
 from loopcal.statistics.verified import Verification
 from loopcal.workflow.keeping import Keeper, Writer
 from loopcal.workflow.projects import named_project, project_files, refuse_tolerance
-from loopcal.workflow.readings import Files, first_of, later_readings, new_readings
+from loopcal.workflow.readings import (
+    Files,
+    first_of,
+    later_readings,
+    new_readings,
+    refuse_radians,
+)
 from loopcal.workflow.saved_result import read_result
 
 if TYPE_CHECKING:
@@ -83,7 +89,9 @@ def run_prediction(
         # Refused ahead of the work, not after it.
         check_ending(out)
     read = read_result(result, mechanism=function)
-    done = predict(read.predictor, new_readings(readings, read.inputs, read.mechanism))
+    made = new_readings(readings, read.inputs, read.mechanism)
+    refuse_radians(made, read)
+    done = predict(read.predictor, made)
     if out is not None:
         path = Path(out)
         write_files(path.parent, {path.name: table_bytes(done.columns(), path.suffix)})

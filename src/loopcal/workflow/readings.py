@@ -36,6 +36,8 @@ _NEAR = 0.05
 """So far [rad] beyond the calibrated poses an array of joints lies among them at least."""
 _FAR = 1.0
 """So far [rad] at most; between them the travel of the joint decides."""
+_SEVERAL = 3
+"""Joints that move by less than a turn in radians from which on degrees are in doubt."""
 _OF_A_LAYOUT = ("missing-column", "invalid-syntax", "conflicting-keys")
 """Codes of errors in reading a file whose layout is not that of the first day."""
 POSE = "pose"
@@ -159,13 +161,34 @@ def later_readings(result: Any, data: Any, units: Units, *, whole: bool) -> Any:
     poses = poses_of_result(data, mechanism)
     if poses is not None:
         return poses
-    if units is None:
-        return new_readings(data, getattr(result, "inputs", {}), mechanism, whole=whole)
-    return readings(data, mechanism, units)
+    if units is not None:
+        return readings(data, mechanism, units)
+    made = new_readings(data, getattr(result, "inputs", {}), mechanism, whole=whole)
+    if not whole:  # else what was measured shows the unit
+        refuse_radians(made, result)
+    return made
+
+
+def refuse_radians(made: Dataset, result: Any) -> None:
+    """Raise InputError for a file whose headers state no unit, and whose degrees are radians."""
+    from loopcal.files.recognition.headers import heading
+
+    source = made.source
+    bare = {
+        q: np.degrees(made[q])
+        for q in result.mechanism.joints
+        if source.stated.get(q) == "deg" and heading(source.columns.get(q, "[deg]")).unit is None
+    }
+    moving = [q for q, v in bare.items() if np.nanmax(np.abs(v)) > 0.0]
+    if len(moving) >= _SEVERAL and all(np.nanmax(np.abs(v)) <= 2.0 * np.pi for v in bare.values()):
+        _refuse_doubtful(bare, dict.fromkeys(bare, "deg"), result, source.file or "a table")
 
 
 def _refuse_doubtful(
-    joints: Mapping[str, NDArray[np.float64]], in_source: Mapping[str, str], result: Any
+    joints: Mapping[str, NDArray[np.float64]],
+    in_source: Mapping[str, str],
+    result: Any,
+    what: str = "an array",
 ) -> None:
     """Raise InputError for angles without a unit that lie among the calibrated poses in the other
     one: radians beside a file in degrees, or degrees that the poses in radians do not reach.
@@ -196,12 +219,13 @@ def _refuse_doubtful(
     if not among(other) or (taken == "rad" and among("rad")):
         return
     raise InputError(
-        f"the joints of an array without units are read in {taken}"
+        f"the joints of {what} without units are read in {taken}"
         + (", as those of the first readings" if in_source else "")
         + f"; in {other} they lie among the calibrated poses"
         + (" too" if among(taken) else ""),
         code="implausible-unit",
-        remedy=f"state their unit: units={other!r} or units={taken!r}",
+        remedy=f"state their unit, in headers such as J1 [{other}]; in Python by units={other!r} "
+        f"or units={taken!r}",
     )
 
 

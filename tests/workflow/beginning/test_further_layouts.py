@@ -13,6 +13,8 @@ from scipy.spatial.transform import Rotation
 
 import loopcal as lc
 from analyses.layouts import World, described, ids, joints, of, polar, written, xyz
+from loopcal.workflow.calibration import Request, run_calibration
+from loopcal.workflow.checking import run_prediction
 from loopcal.workflow.readings import new_readings
 from tests.refusals import refused
 
@@ -487,3 +489,26 @@ def test_later_columns_called_as_the_joints_are_no_radians(tmp_path: Path) -> No
     for i, name in enumerate(project.mechanism.joints):
         assert np.allclose(read[name], world.read[:, i], atol=1e-6)
     assert np.allclose(read["x"], world.points[:, 0], atol=1e-6)
+
+
+def test_predict_refuses_radians_without_a_unit_beside_degrees(tmp_path: Path) -> None:
+    """They were taken for degrees: the arm hardly moved, and its sds were as small as ever."""
+    world = World("six", 8)
+    described(world, tmp_path)
+    columns = {"pose": ids(world, "p{}"), **joints(world), **xyz("{} [mm]", world.points)}
+    lc.init(
+        tmp_path / written(tmp_path / "a.csv", columns),
+        dh=tmp_path / "dh.csv",
+        out=tmp_path / "cal",
+    )
+    project = tmp_path / "cal" / "project.toml"
+    run_calibration(project, Request(method="implicit-loop"), out=tmp_path / "result")
+    names = [name for name in columns if name not in ("pose", "x [mm]", "y [mm]", "z [mm]")]
+    for unit, to in (("rad", 1.0), ("deg", np.degrees(1.0))):
+        later = tmp_path / f"{unit}.csv"
+        written(later, of(names, to * world.read), digits=9)
+        if unit == "deg":
+            assert len(run_prediction(tmp_path / "result", later, out=None).poses) == len(world.q)
+            continue
+        with refused("implausible-unit", "rad.csv", "J1 [rad]"):
+            run_prediction(tmp_path / "result", later, out=None)
