@@ -251,7 +251,9 @@ def _searched(
     Where something happened, the other fits are in vain and left.
     """
     telling = [begun(one, None) for one in waiting if tells(one)]
-    first = next((one for one in telling if one.case.fit.method.exact), None)
+    # what several instruments see of one pose shares the errors of its joints
+    alone = len([f for f in case.mechanism.families if f.form != "closure"]) < 2
+    first = next((one for one in telling if one.case.fit.method.exact is alone), None)
     order = sorted(telling, key=lambda one: one is not first)
 
     def fit(_: None, one: Entrant) -> Judged:
