@@ -370,23 +370,28 @@ def reads(path: Any, inputs: Mapping[str, Any], mechanism: Mechanism, *, whole: 
 def _is_converted(paths: Sequence[Any], spec: DataTable, wanted: Set[str]) -> bool:
     """Whether a file has the columns that the project reads, and so not those of its source."""
     assert spec.source is not None
-    return len(paths) == 1 and _has_columns(paths[0], spec, spec.source.columns.keys() & wanted)
+    read = spec.source.columns.keys() & wanted
+    return len(paths) == 1 and _has_columns(paths[0], spec, read, with_units=True)
 
 
-def _has_columns(path: Any, spec: DataTable, quantities: Set[str]) -> bool:
+def _has_columns(
+    path: Any, spec: DataTable, quantities: Set[str], *, with_units: bool = False
+) -> bool:
     """Whether a file has the columns in which the project reads these quantities, in those of their
-    names where it states none; or columns of these names that state a unit."""
+    names where it states none; with_units: or columns of these names that state a unit."""
     if not isinstance(path, str | Path):
         return False
     try:
         labels = column_labels(read_once(path, **spec.keywords))
     except InputError:  # of a table below titles, which only its source describes
         return False
+    columns = {q: c.column for part in spec.parts for q, c in part.columns.items()}
+    wanted = {columns.get(q, q) for q in quantities}.difference(labels)
+    if not wanted or not with_units:
+        return not wanted
     from loopcal.files.recognition.headers import heading
 
-    columns = {q: c.column for part in spec.parts for q, c in part.columns.items()}
     stated = {one.stem for one in map(heading, labels) if one.unit}
-    wanted = {columns.get(q, q) for q in quantities}.difference(labels)
     return all(heading(str(column)).stem in stated for column in wanted)
 
 
