@@ -512,3 +512,21 @@ def test_predict_refuses_radians_without_a_unit_beside_degrees(tmp_path: Path) -
             continue
         with refused("implausible-unit", "rad.csv", "J1 [rad]"):
             run_prediction(tmp_path / "result", later, out=None)
+
+
+def test_later_rows_of_stations_are_read_as_those_of_the_first_day(tmp_path: Path) -> None:
+    """Their joints' columns state a unit, as those of the converted readings do."""
+    world = World("six", 8)
+    described(world, tmp_path)
+    stations = ["north" if i % 2 else "south" for i in range(len(world.q))]
+    points = world.points + np.where(np.arange(len(world.q)) % 2, 1.0, 0.0)[:, None]
+    columns = {**joints(world, "J{} [deg]"), "station": stations, **xyz("{} [mm]", points)}
+    file = tmp_path / written(tmp_path / "a.csv", columns, digits=9)
+    lc.init(file, dh=tmp_path / "dh.csv", out=tmp_path / "cal")
+    project = lc.read_project(tmp_path / "cal" / "project.toml")
+    first = lc.load_dataset(project).dataset
+    for whole in (True, False):
+        read = new_readings(file, project.inputs, project.mechanism, whole=whole)
+        for name in read.readings:
+            np.testing.assert_allclose(read[name], first[name], atol=1e-7)
+        assert whole == ("x_1" in read.readings)

@@ -371,7 +371,12 @@ def _is_converted(paths: Sequence[Any], spec: DataTable, wanted: Set[str]) -> bo
     """Whether a file has the columns that the project reads, and so not those of its source."""
     assert spec.source is not None
     read = spec.source.columns.keys() & wanted
-    return len(paths) == 1 and _has_columns(paths[0], spec, read, with_units=True)
+    if len(paths) != 1 or _has_columns(paths[0], spec, read):
+        return len(paths) == 1
+    source = {q: DataColumn(c.column) for q, c in spec.source.columns.items()}
+    of_source = replace(spec, columns=source, join=())
+    as_source = _has_columns(paths[0], of_source, read)
+    return not as_source and _has_columns(paths[0], spec, read, with_units=True)
 
 
 def _has_columns(
