@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import loopcal as lc
 from analyses.layouts import World, described, ids, joints, of, polar, written, xyz
+from loopcal.files.project.project_data import read_new_readings
 from loopcal.workflow.calibration import Request, run_calibration
 from loopcal.workflow.checking import run_prediction
 from loopcal.workflow.readings import new_readings
@@ -520,13 +521,13 @@ def test_later_rows_of_stations_are_read_as_those_of_the_first_day(tmp_path: Pat
     described(world, tmp_path)
     stations = ["north" if i % 2 else "south" for i in range(len(world.q))]
     points = world.points + np.where(np.arange(len(world.q)) % 2, 1.0, 0.0)[:, None]
-    columns = {**joints(world, "J{} [deg]"), "station": stations, **xyz("{} [mm]", points)}
+    columns = {**joints(world, "joint_a{} [deg]"), "station": stations, **xyz("{} [mm]", points)}
     file = tmp_path / written(tmp_path / "a.csv", columns, digits=9)
-    lc.init(file, dh=tmp_path / "dh.csv", out=tmp_path / "cal")
+    lc.init(file, urdf=tmp_path / "robot.urdf", out=tmp_path / "cal")
     project = lc.read_project(tmp_path / "cal" / "project.toml")
     first = lc.load_dataset(project).dataset
     for whole in (True, False):
-        read = new_readings(file, project.inputs, project.mechanism, whole=whole)
+        read = read_new_readings(file, project.inputs, project.mechanism, whole=whole)
         for name in read.readings:
             np.testing.assert_allclose(read[name], first[name], atol=1e-7)
         assert whole == ("x_1" in read.readings)
