@@ -99,7 +99,7 @@ def test_least_squares_is_judged_by_f_with_the_freedom_of_its_residuals() -> Non
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_zeros_of_many_joints_are_named_as_after_a_loss_of_masters(seed: int) -> None:
+def test_the_zeros_of_many_joints_are_named_together(seed: int) -> None:
     """More than three changes were called another machine of this type."""
     arm, rng = ma1400(40), np.random.default_rng(seed)
     first = calibrated(arm, seed, 40, estimate=False)

@@ -312,7 +312,7 @@ class Search:
         return [step for step, smooth in zip(sudden, unclear, strict=True) if smooth]
 
     def _played(self, fit: Fitted, steps: Sequence[_Step]) -> list[_Step]:
-        """The steps that play of joints explains, which turn where poses are sorted or a raster."""
+        """The steps that play of joints explains as well: it changes sides where a raster turns."""
         played = fit.beside(self.system.play())
         return [
             step

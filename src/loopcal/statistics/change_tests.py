@@ -126,8 +126,8 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
             chosen, system = kept, system.settled(kept)
             apart = {j: system.tests([i for i in kept if i != j]) for j in kept}
             p_values |= {j: tests[j] for j, tests in apart.items() if j in tests}
-    more = len(chosen) == changed.SOUGHT and not system.explained(chosen)
-    if more and (zeros := _mastering(begun)) is not None:
+    unexplained = len(chosen) == changed.SOUGHT and not system.explained(chosen)
+    if unexplained and (zeros := _all_zeros(begun)) is not None:
         chosen, system, p_values = zeros
         rivals = dict.fromkeys(chosen, ())
     halved = _HALVED if begun.spread > changed.LARGER**2 else np.inf
@@ -149,9 +149,9 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
     return Explained(what, system.linear, columns, system.columns(few))
 
 
-def _mastering(begun: _System) -> tuple[tuple[int, ...], _System, dict[int, float]] | None:
-    """The zeros of all joints that moved, as after a loss of their masters, with the p-value of
-    each; None where these do not explain the poses."""
+def _all_zeros(begun: _System) -> tuple[tuple[int, ...], _System, dict[int, float]] | None:
+    """The zeros of all joints that moved, as after a flat battery of the encoders, with the p-value
+    of each; None where these do not explain the poses."""
     causes = begun.causes.causes
     zeros = tuple(i for i in begun.heads if causes[i].kind == "zero")
     end = begun.settled(zeros) if zeros else begun
