@@ -179,8 +179,9 @@ def refuse_radians(made: Dataset, result: Any) -> None:
         for q in result.mechanism.joints
         if source.stated.get(q) == "deg" and heading(source.columns.get(q, "[deg]")).unit is None
     }
-    moving = [q for q, v in bare.items() if np.nanmax(np.abs(v)) > 0.0]
-    if len(moving) >= _SEVERAL and all(np.nanmax(np.abs(v)) <= 2.0 * np.pi for v in bare.values()):
+    bare = {q: v for q, v in bare.items() if np.isfinite(v).any()}
+    largest = [float(np.nanmax(np.abs(v))) for v in bare.values()]
+    if sum(v > 0.0 for v in largest) >= _SEVERAL and max(largest) <= 2.0 * np.pi:
         _refuse_doubtful(bare, dict.fromkeys(bare, "deg"), result, source.file or "a table")
 
 
