@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,10 @@ import pytest
 
 import loopcal as lc
 from loopcal.mechanisms.structure.structured import loadable
+from loopcal.statistics.another_day import Day
+from loopcal.statistics.calibrated import Calibrated
+from loopcal.statistics.change_tests import _System, what_changed
+from loopcal.statistics.day_causes import Causes
 from tests.statistics.test_change_points import ARM, NOISE, Array, joints
 
 GIVING = lc.structured(ARM, harmonics=False)
@@ -78,6 +83,14 @@ def test_what_one_weight_leaves_of_a_load_begins_at_no_pose(first: lc.Result, se
     assert found.shifts.found == ()
 
 
+def test_coarse_joints_of_a_later_file_are_named(first: lc.Result) -> None:
+    """A log that is rounded to 0.001 rad looks like a machine that has changed."""
+    day = carrying(joints(40, 21), 21, 1.0)
+    coarse = day.with_readings({q: np.round(day[q], 3) for q in ARM.joints})
+    assert "rounded to 0.001 rad" in lc.verify(first, coarse).read_as
+    assert lc.verify(first, day).read_as == ""
+
+
 @pytest.mark.parametrize("seed", range(21, 26))
 def test_an_update_follows_all_that_may_have_changed(first: lc.Result, seed: int) -> None:
     """It followed the scale, was hardly better than no update, and said to be sure."""
@@ -135,3 +148,24 @@ def test_a_load_can_be_followed_after_an_update_as_well() -> None:
     assert giving.structure.loaded
     assert sds.items() <= {p.name: p.prior_sd for p in giving.parameters}.items()
     assert all(giving.parameters[name].prior_sd < 0.01 for name in giving.structure.loaded)
+
+
+def test_a_search_that_takes_a_load_in_other_parts_ends(
+    first: lc.Result, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each of two ways to describe another load was taken in place of the other, without end."""
+    calibration = Calibrated.of(first, "").loadable
+    day = Day.of(calibration, carrying(joints(8, 21), 21, 1.5), None)
+    causes = Causes.of(day, linear := day.linearised())
+    loads = [i for i, one in enumerate(causes.causes) if one.kind == "load"]
+    assert len(loads) == 2
+    rounds: list[tuple[int, ...]] = []
+
+    def likely(_: _System, chosen: Sequence[int] = ()) -> dict[int, float]:
+        rounds.append(tuple(chosen))
+        assert len(rounds) < 10
+        return {i: 1e-9 for i in loads if i not in chosen}
+
+    monkeypatch.setattr(_System, "tests", likely)
+    monkeypatch.setattr(_System, "kept", lambda _, chosen: tuple(chosen))
+    assert what_changed(day, linear) is not None

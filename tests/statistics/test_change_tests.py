@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from loopcal.statistics.change_tests import _System
-from loopcal.statistics.possible_changes import Possible
+from loopcal.statistics.possible_changes import Possible, impossible
 
 
 @pytest.mark.parametrize(
@@ -33,3 +33,20 @@ def test_a_large_change_must_be_seen_with_the_stated_power(
         ),
     )
     assert _System.too_far(system, (0,)) == ((0,) if far else ())
+
+
+@pytest.mark.parametrize(
+    ("kind", "size", "unit", "no"),
+    [
+        ("load", 4.14, "rad/m", True),
+        ("load", 0.01, "rad/m", False),
+        ("expansion", 2.8e-3, "1", True),
+        ("target", 2.5, "m", True),
+        ("station", 2.5, "m", False),
+    ],
+)
+def test_no_change_of_a_size_that_no_machine_has_is_named_during_a_run(
+    kind: str, size: float, unit: str, no: bool
+) -> None:
+    assert impossible(kind, -size, 0.01 * size, unit) is no
+    assert not impossible(kind, size, size, unit)

@@ -38,6 +38,7 @@ from loopcal.statistics.possible_changes import (
     Cause,
     Possible,
     changed_share,
+    impossible,
     possible,
     sd_of,
     unit_of,
@@ -233,7 +234,10 @@ class Search:
         return shifts, alike
 
     def _is_sure(self, point: ChangePoint) -> bool:
-        return point.p_value < self.level
+        """Whether it is no chance, and a change that a machine can have."""
+        return point.p_value < self.level and not any(
+            impossible(point.moved, one.size, one.sd, one.unit) for one in point.changes.values()
+        )
 
     def _without(self, fit: Fitted, steps: Sequence[_Step], step: _Step) -> Fitted:
         """A fit with these steps, without one of them."""

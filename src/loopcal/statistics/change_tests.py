@@ -103,7 +103,8 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
     chosen: tuple[int, ...] = ()
     p_values: dict[int, float] = {}
     rivals: dict[int, tuple[int, ...]] = {}
-    given_up: set[int] = set()  # what was given up is not tried again: the search ends
+    # What was given up is not tried again. Each round gives one up or leaves one more: it ends.
+    given_up: set[int] = set()
     while len(chosen) < sought:
         tests = {i: p for i, p in system.tests(chosen).items() if i not in given_up}
         if not (likely := [i for i, p in tests.items() if p < LEVEL]):  # the likeliest first
@@ -118,6 +119,7 @@ def what_changed(day: Day, linear: Linearised) -> Explained | None:
             given_up |= {*far}
             chosen, system = _without(far, chosen, system, begun)
             continue
+        given_up |= {*chosen} - {*best}  # one of them stands in best in more parts, or in fewer
         chosen, system = best, settled
         p_values[chosen[-1]] = tests[chosen[-1]]
         rivals[chosen[-1]] = settled.rivals(best, [fit for fit in fits if fit[0] != best])

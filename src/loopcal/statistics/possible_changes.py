@@ -42,6 +42,16 @@ _MOST = {
     "delay": 0.5,
 }
 """The largest change of a kind [SI]."""
+# Chosen, not derived: as between two days; a load bends a joint by 0.05 rad at a lever of a metre.
+_MOST_AT_ONCE = {
+    ("target", "m"): 1.0,
+    ("joint", "rad"): 0.5,
+    ("link", "rad"): 0.05,
+    ("link", "m"): 0.03,
+    ("load", "rad/m"): 0.05,
+    ("expansion", "1"): _MOST["expansion"],
+}
+"""The largest change during a run of a kind, by the unit of its part [SI]; else any."""
 # What they usually have between two days; chosen, not derived: a joint that creeps or is mastered
 # anew by a tenth of a degree, a tool that is exchanged by some millimetres, a link that gives way
 # by some tenths, 10 K of warming. `analyses.gauntlet` counts what is named.
@@ -180,6 +190,11 @@ class Possible:
         noise = covariance[np.ix_(stated, stated)] / np.outer(usual[stated], usual[stated])
         square = float(x @ np.linalg.solve(np.eye(len(x)) + noise, x))
         return math.log1p(square) + (0.0 if self.often else _RARE)
+
+
+def impossible(kind: str, size: float, sd: float, unit: str) -> bool:
+    """Whether no machine can have a change of this size and sd [SI] during a run."""
+    return abs(size) - 2.0 * sd > _MOST_AT_ONCE.get((kind, unit), math.inf)
 
 
 Cause = Callable[[Problem], Iterable[Possible]]

@@ -47,7 +47,7 @@ from loopcal.statistics.gain import Gain
 from loopcal.statistics.innovation import Linearised, noise_freedoms
 from loopcal.statistics.joint_errors import JointErrors
 from loopcal.statistics.later_corners import fitting_corners
-from loopcal.statistics.other_conditions import unlike
+from loopcal.statistics.other_conditions import rounded, unlike
 from loopcal.statistics.shared_repeats import day_as_means
 from loopcal.statistics.verdict import Quantile
 from loopcal.statistics.verified import Placed, Verification, WorstPose
@@ -118,7 +118,9 @@ def verified(
             if len(means) < len(data):
                 data, day = means, Day.of(calibrated, means, noise, remounted)
                 made = _verified(day, tolerance, len(copied), repeated)
-    return replace(made, read_as=data.source.read_as)
+    passed = made.verdict["consistent"].passed
+    coarse = "" if passed else rounded(calibrated, data)
+    return replace(made, read_as=" ".join(filter(None, [data.source.read_as, coarse])))
 
 
 def _repeated(calibrated: Calibrated, data: Dataset) -> int:

@@ -142,6 +142,36 @@ def test_rows_in_another_unit_are_named(share: str) -> None:
     assert f"in inches, taken as millimetres in {some.sum()} poses" in fault.words
 
 
+@pytest.mark.parametrize("share", ["last half", "some"])
+def test_rows_whose_joints_are_in_another_unit_are_named(share: str) -> None:
+    """It was called an instrument that moved by 440 mm and turned by 30 deg."""
+    truth = ARM
+    made = lc.simulate(truth, joints(60, 4), noise=NOISE, seed=4)
+    some = np.arange(60) >= 30
+    if share == "some":
+        some = np.random.default_rng(0).random(60) < 0.3
+    read = dict(made.dataset.readings)
+    readings = read | {q: np.where(some, np.degrees(read[q]), read[q]) for q in truth.joints}
+    problem = started(truth, lc.Dataset.from_arrays(readings), NOISE, "auto")
+    (fault,) = column_faults(problem, suspected=False)
+    assert fault.code == "unit"
+    assert f"in degrees, taken as radians in {some.sum()} poses" in fault.words
+
+
+@pytest.mark.parametrize("held", [slice(11, 16), slice(36, 60)])
+def test_readings_that_were_not_taken_again_are_named(held: slice) -> None:
+    """The instrument lost its target and repeated its last reading: it was called another load."""
+    made = lc.simulate(ARM, joints(60, 4), noise=NOISE, seed=4)
+    readings = {q: v.copy() for q, v in made.dataset.readings.items()}
+    for q in "xyz":
+        readings[q][held] = readings[q][held.start - 1]
+    problem = started(ARM, lc.Dataset.from_arrays(readings), NOISE, "auto")
+    (fault,) = column_faults(problem)
+    assert fault.code == "constant"
+    assert fault.quantities == ("x", "y", "z")
+    assert f"in {held.stop - held.start} of 60 poses" in fault.words
+
+
 def test_learnt_sds_are_not_sought_in_a_file_at_fault_and_every_face_says_so() -> None:
     given = setup("two-link point")
     made = lc.simulate(given.truth, given.driven, noise=given.noise, seed=2)

@@ -757,6 +757,27 @@ def test_rows_in_another_unit_are_named(tmp_path: Path, arm: Any, each: int) -> 
         lc.init(path, dh=dh(tmp_path))
 
 
+@pytest.mark.parametrize("each", [1, 3])
+def test_rows_whose_joints_are_in_another_unit_are_named(
+    tmp_path: Path, arm: Any, each: int
+) -> None:
+    """The instrument was said to have moved, with a column to be added for it."""
+    joints, points = arm
+    rows = np.arange(len(points)) % 3 == 0 if each == 3 else np.arange(len(points)) >= 20
+    mixed = np.where(rows[:, None], np.degrees(joints), joints)
+    with refused("wrong-unit", "are in degrees", "the others are in radians"):
+        lc.init({**of(mixed, NAMES), **of(points, "xyz")}, dh=dh(tmp_path))
+
+
+def test_a_last_reading_that_is_repeated_to_the_end_is_named(tmp_path: Path, arm: Any) -> None:
+    """The instrument was said to have moved."""
+    joints, points = (values[:40].copy() for values in arm)
+    points[24:] = points[23]
+    with refused("implausible-readings", "16 of 40", "not read again") as caught:
+        lc.init({**of(joints, NAMES), **of(points, "xyz")}, dh=dh(tmp_path))
+    assert caught.value.options[0] == "--exclude"
+
+
 def test_zeros_of_a_lost_reflector_are_refused(tmp_path: Path, arm: Any) -> None:
     joints, points = arm
     lost = points.copy()

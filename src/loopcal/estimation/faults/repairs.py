@@ -51,10 +51,15 @@ ANGLES = (
 # Chosen, not derived: rows slip where a header or a pose is lost, one to three of them.
 SHIFTS = (1, -1, 2, -2, 3, -3)
 """By how many rows the readings of the instruments may be displaced."""
-# Chosen, not derived: what an instrument sees of one machine is about as far away, the least factor
-# of units is 10, and three ids show which rows are meant.
-_APART, _LIKE, _NAMED = 1.5, 3.0, 3
-"""Sizes of readings that stand apart; by how much a factor may be missed; ids that are named."""
+# Chosen, not derived: units differ by a factor of 2.54 and more, as the distances of points may.
+_APART = 0.3
+"""The logarithm by which rows in another unit are larger or smaller than the others."""
+_GAPS = 3
+"""So many gaps are tried: poses near the instrument or the zeros of the joints leave others."""
+# Chosen, not derived: what is read of one machine is about as large, and three ids show which rows
+# are meant.
+_LIKE, _NAMED = 3.0, 3
+"""By how much a factor of sizes may be missed; ids that are named."""
 # 256 combinations: chosen, not derived, with the time that they take.
 MOST_SIGNS = 8
 """Of more joints than these not all combinations of signs are tried, single ones and pairs only."""
@@ -157,30 +162,25 @@ class _Maker:
                     yield self._changed("unit", sentence, rows, ratio * x[list(rows)])
 
     def mixed_units(self) -> Iterator[Repair]:
-        """What an instrument reads in another unit in some of the rows, which stand apart."""
+        """What is read in another unit in some of the rows, which stand apart."""
         x = self.problem.readings
-        for group in self.seen:
-            rows = [j for j in group if self.unit[j] == "m"]
-            sizes = np.sqrt(np.square(x[rows]).sum(axis=0)) if rows else np.zeros(0)
-            read = np.flatnonzero(np.isfinite(sizes) & (sizes > 0.0))
-            if read.size < 2:
-                continue
-            order = read[np.argsort(sizes[read])]
-            gaps = np.diff(np.log(sizes[order]))
-            at = int(np.argmax(gaps)) + 1
-            small, large = order[:at], order[at:]
-            apart = float(np.median(sizes[large]) / np.median(sizes[small]))
-            for ratio, words in LENGTHS if gaps[at - 1] > math.log(_APART) else ():
-                factor = max(ratio, 1.0 / ratio)
-                if not factor / _LIKE < apart < factor * _LIKE:
-                    continue
-                some = small if ratio > 1.0 else large
-                values = x[rows].copy()
-                values[:, some] *= ratio
-                first = ", ".join(self.problem.poses[i] for i in np.sort(some)[:_NAMED])
-                which = f"{len(some)} poses ({first}{', ...' if len(some) > _NAMED else ''})"
-                sentence = f"{self._listed(rows)} are {words} in {which}"
-                yield self._changed("unit", sentence, rows, values)
+        kinds = [(group, "m", LENGTHS) for group in self.seen] + [(self.driven, "rad", ANGLES)]
+        for group, unit, ratios in kinds:
+            rows = [j for j in group if self.unit[j] == unit]
+            sizes = np.linalg.norm(x[rows], axis=0)
+            for small, large in set_apart(sizes):
+                apart = float(np.median(sizes[large]) / np.median(sizes[small]))
+                for ratio, words in ratios:
+                    factor = max(ratio, 1.0 / ratio)
+                    if not factor / _LIKE < apart < factor * _LIKE:
+                        continue
+                    some = np.flatnonzero(small if ratio > 1.0 else large)
+                    values = x[rows].copy()
+                    values[:, some] *= ratio
+                    first = ", ".join(self.problem.poses[i] for i in some[:_NAMED])
+                    which = f"{len(some)} poses ({first}{', ...' if len(some) > _NAMED else ''})"
+                    sentence = f"{self._listed(rows)} are {words} in {which}"
+                    yield self._changed("unit", sentence, rows, values)
 
     def instruments(self) -> Iterator[Repair]:
         """What two instruments of a kind read in each other's place, as of two hands."""
@@ -290,6 +290,18 @@ class _Maker:
                 words,
                 replace(moved, readings=readings, pose_constants=constants),
             )
+
+
+def set_apart(sizes: Array) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.bool_]]]:
+    """Which of these sizes (N,) are small and which are large, with the widest gap first.
+
+    Zero is as large in every unit, so it is neither; nor is what is not read.
+    """
+    read = np.sort(sizes[sizes > 0.0])
+    gaps = np.diff(np.log(read))
+    for at in np.argsort(-gaps)[:_GAPS].tolist():
+        if gaps[at] >= _APART:
+            yield (sizes > 0.0) & (sizes <= read[at]), sizes > read[at]
 
 
 def _apart(shift: int) -> str:

@@ -10,7 +10,7 @@ be. Where no repair helps and the machine as drawn explains next to nothing, tha
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from loopcal.arrays import Array
 from loopcal.document.findings import ColumnFault
 from loopcal.document.plain import finite
-from loopcal.errors import InputError
+from loopcal.errors import InputError, listed
 from loopcal.estimation.faults.misfit import (
     HALF,
     STAYS,
@@ -215,6 +215,11 @@ class _File:
                     words = f"{name} reads the same value in every pose, although the machine moves"
                     unit = self.problem.mechanism.quantities[name]
                     faults.append(ColumnFault((name,), words, away, None, True, "constant", unit))
+            if not faults and len(rows := _not_read_again(computed, measured, NEAR * spread)):
+                words = not_read_again(
+                    names, [self.problem.poses[i] for i in rows], len(measured.T)
+                )
+                faults.append(ColumnFault(tuple(names), words, spread, None, True, "constant", "m"))
             places = family.placement is not None
             if places and all(_held(self.problem, p) for p in (computed, measured)):
                 within = 2.0 * float(np.nanmax(np.nanstd(measured, axis=1)))
@@ -224,6 +229,23 @@ class _File:
                 )
                 faults.append(ColumnFault(tuple(names), words, within, None, True, HELD, "m"))
         return tuple(faults)
+
+
+def _not_read_again(computed: Array, measured: Array, least: float) -> NDArray[np.intp]:
+    """The poses whose points (c, N) repeat those before, although the machine moved by more."""
+    repeated = (np.diff(measured, axis=1) == 0.0).all(axis=0)
+    moved = np.linalg.norm(np.diff(computed, axis=1), axis=0) > least
+    return np.flatnonzero(repeated & moved) + 1
+
+
+def not_read_again(names: Sequence[str], held: Sequence[str], poses: int) -> str:
+    """That readings of these names repeat those before in these poses, of so many."""
+    verb = "repeats" if len(names) == 1 else "repeat"
+    return (
+        f"{', '.join(names)} {verb} the row before to the last digit in {len(held)} of {poses} "
+        f"poses, although the joints moved the machine ({listed(held, 5)}): the instrument was not "
+        "read again"
+    )
 
 
 def _thinned(problem: Problem, most: int) -> Problem:

@@ -301,7 +301,7 @@ def initial_project(
         one = readable(one.robot, fields, columns, folder)
         one = replace(one, conditions=encoders.stated(one.conditions, one.machine))
     made, machine, fields, conditions = one.robot, one.machine, one.fields, one.conditions
-    if one.ways and (held := held_readings(one.ways[0], fields.poses)):
+    if held := held_readings(one.ways, fields.poses):
         raise held
     way = understood(machine, one.layouts, fields, ask, one.ways)
     if not robot.joints and (wrong := misstated(machine, way)):

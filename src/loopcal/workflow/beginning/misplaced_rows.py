@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.arrays import Array
-from loopcal.errors import InputError, listed
+from loopcal.errors import InputError
+from loopcal.estimation.faults.search import not_read_again
 from loopcal.estimation.mounted import Bodies, exchanged_targets, see_points, two_targets
 from loopcal.estimation.problem.alignment import align
 from loopcal.files.recognition.fields import Field, names_of
 from loopcal.files.recognition.meanings import Meaning
 from loopcal.presentation.shown import significant, with_unit
-from loopcal.workflow.beginning.searching import CLEARLY, Understood
+from loopcal.workflow.beginning.searching import CLEARLY, PLAUSIBLE, Understood
 
 ONE_POSE = 5e-3
 """A body that moves less than this [m] stands in one pose."""
@@ -31,10 +32,20 @@ def _about_a_point(bodies: Bodies, rows: NDArray[np.intp]) -> bool:
     return bool(np.linalg.norm(o + R @ t, axis=1).max() < ONE_POSE)
 
 
-def held_readings(way: Understood, poses: Sequence[str]) -> InputError | None:
+def held_readings(ways: Sequence[Understood], poses: Sequence[str]) -> InputError | None:
     """The refusal of rows in which points stay to the last digit while the machine moves; None
     where there are none, or where the machine turns about the point, as about the tip of a tool.
-    Joints that stay are no fault: two targets may be seen in one pose."""
+    Joints that stay are no fault: two targets may be seen in one pose.
+
+    ways: to read the columns, the best first; the others count where none fits.
+    """
+    fits = bool(ways) and ways[0].share <= PLAUSIBLE
+    return next(
+        filter(None, (_held(way, poses, fits) for way in ways[: 1 if fits else None])), None
+    )
+
+
+def _held(way: Understood, poses: Sequence[str], fits: bool) -> InputError | None:
     rows: set[int] = set()
     read: dict[str, Field] = {}
     for meaning in way.seen:
@@ -44,16 +55,15 @@ def held_readings(way: Understood, poses: Sequence[str]) -> InputError | None:
         stays = (np.diff(points, axis=0) == 0.0).all(axis=1)
         moves = np.linalg.norm(np.diff(way.bodies.origins, axis=0), axis=1) > ONE_POSE
         some = np.flatnonzero(stays & moves) + 1
-        if 0 < len(some) <= _MOST_HELD * len(points) and not _about_a_point(way.bodies, some):
+        most = _MOST_HELD * len(points) if fits else len(points) - 2  # at least two points differ
+        if 0 < len(some) <= most and not _about_a_point(way.bodies, some):
             rows |= {*some.tolist()}
             read |= {field.label: field for field in meaning.seen.position}
     if not rows:
         return None
     held = [poses[i] for i in sorted(rows)]
     error = InputError(
-        f"{names_of([*read.values()])} repeat the row before to the last digit in "
-        f"{len(held)} of {len(poses)} poses, although the joints moved the machine "
-        f"({listed(held, 5)}): the instrument was not read again",
+        not_read_again([*read], held, len(poses)),
         code="implausible-readings",
         remedy="leave these poses out, or correct their rows",
     )

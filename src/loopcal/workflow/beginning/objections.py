@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from loopcal.arrays import Array
+from loopcal.estimation.faults.repairs import set_apart
 from loopcal.files.recognition.fields import Field, names_of
 from loopcal.files.recognition.joins import Fields
 from loopcal.files.recognition.layouts import FEWEST, Seen
-from loopcal.files.recognition.meanings import LENGTHS, Meaning, positions, turned_by
+from loopcal.files.recognition.meanings import ANGLES, LENGTHS, Meaning, positions, turned_by
 from loopcal.files.recognition.shots import MOST_TARGETS
 from loopcal.presentation.shown import with_unit
 from loopcal.units import unit
@@ -46,11 +47,6 @@ _MIRROR = np.array([-1.0, 1.0, 1.0])
 _SHIFTS = (1, -1, 2, -2, 3, -3)
 _FEW = 40
 """Poses that one coordinate is tried on."""
-# Chosen, not derived: units differ by a factor of 2.54 and more, as the distances of points may.
-_APART = 0.3
-"""The logarithm by which rows in another unit are nearer or farther than the others."""
-_GAPS = 3
-"""So many gaps are tried: poses near the instrument leave others."""
 # Twelve points are 36 equations for the nine numbers of station and target.
 _BLOCK, _TOGETHER = 12, 0.05
 """So many consecutive poses are fitted alone; they then belong together if they leave this."""
@@ -97,6 +93,7 @@ def objection(case: Case) -> Explanation | None:
     tried = (  # the quickest first; each begins when it is its turn
         _shifted_too(case),
         _rows_in_other_units(case),
+        _joint_rows_in_other_units(case),
         _moved_too(case),
         _coordinates(case),
         _orientations(case),
@@ -247,9 +244,10 @@ def _rows_in_other_units(case: Case) -> Iterator[Explanation]:
             if meaning.position.ndim < 2 or meaning.seen.kind == "spherical":
                 continue
             names = names_of(meaning.seen.position)
-            for near, other in product(_nearer(meaning.position), LENGTHS):
+            away = np.linalg.norm(meaning.position, axis=1)
+            for (near, far), other in product(set_apart(away), LENGTHS):
                 factor = unit(other).factor / unit(meaning.length).factor
-                rows = near if factor > 1.0 else ~near
+                rows = near if factor > 1.0 else far
                 share = _scaled(way, meaning, np.where(rows, factor, 1.0)[:, None])
                 yield Explanation(
                     share,
@@ -261,19 +259,44 @@ def _rows_in_other_units(case: Case) -> Iterator[Explanation]:
                 )
 
 
-def _nearer(points: Array) -> Iterator[NDArray[np.bool_]]:
-    """(N,) which points are nearer than the others, with the widest gap first."""
-    away = np.linalg.norm(points, axis=1)
-    order = np.argsort(away)  # what is not read is last, and no gap beside it is wide
-    with np.errstate(divide="ignore", invalid="ignore"):
-        gaps = np.nan_to_num(np.diff(np.log(away[order])), posinf=0.0)
-    for at in np.argsort(-gaps)[:_GAPS].tolist():
-        if gaps[at] >= _APART:
-            yield away <= away[order[at]]
+def _joint_rows_in_other_units(case: Case) -> Iterator[Explanation]:
+    """Rows whose joints turn by so much more than the others, or less, that they may be in another
+    unit of angle."""
+    for way in case.ways:
+        turning = {
+            n: q
+            for (n, q), kind in zip(way.joints.items(), way.kinds, strict=True)
+            if kind == "rad"
+        }
+        units = {of for of, kind in zip(way.units, way.kinds, strict=True) if kind == "rad"}
+        if len(units) != 1:
+            continue
+        columns = zip(way.layout.joints, way.kinds, strict=True)
+        names = names_of([field for field, kind in columns if kind == "rad"])
+        read_as, few = units.pop(), _few(len(way.bodies.origins))
+        size = np.linalg.norm(np.array(list(turning.values())), axis=0)
+        for (small, large), other in product(set_apart(size), ANGLES):
+            factor = unit(other).factor / unit(read_as).factor
+            if factor == 1.0:
+                continue
+            rows = small if factor > 1.0 else large
+            turned = {n: q * np.where(rows, factor, 1.0) for n, q in turning.items()}
+            bodies = case.machine.bodies(way.joints | turned)
+            share = max(m.fitted(bodies, few, 2).share for m in way.seen)
+            yield Explanation(
+                share,
+                "wrong-unit",
+                f"{_which(rows)} of {names} {_written(other)}, and the others {_written(read_as)}: "
+                f"so the nominal machine misses the readings by {percent(share)} of their spread, "
+                f"as read by {percent(way.share)}",
+                "convert these rows",
+            )
 
 
-def _written(length: str) -> str:
-    return "are in inches" if length == "in" else f"are in {length}"
+def _written(name: str) -> str:
+    return {"in": "are in inches", "deg": "are in degrees", "rad": "are in radians"}.get(
+        name, f"are in {name}"
+    )
 
 
 def _which(rows: NDArray[np.bool_]) -> str:
