@@ -162,3 +162,40 @@ def test_images_that_were_cut_are_followed(first: tuple[Rig, Path], tmp_path: Pa
     for name, by in (("cx", 160.0), ("cy", 120.0)):
         (old,) = [one.value for one in before.document.parameters if one.name == f"{eye}_{name}"]
         assert after.value[f"{eye}_{name}"] == pytest.approx((old or 0.0) - by, abs=3.0)
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ("images shuffled", "order of the rows"),
+        ("joints half in radians", "in another unit"),
+        ("camera not read again", "repeat the corners of another image"),
+    ],
+)
+def test_a_later_file_that_no_pose_explains_is_refused_like_a_first_one(
+    first: tuple[Rig, Path], fault: str, words: str, tmp_path: Path
+) -> None:
+    """Minutes passed, and then the camera and the board seemed to have moved by 200 mm."""
+    rig, result = first
+    folder = files(rig, 9, tmp_path / "day-2", images=12)
+    poses, corners = folder / "poses.csv", folder / "readings.csv"
+    head, *rows = (line.split(",") for line in poses.read_text("utf-8").splitlines())
+    top, *seen = (line.split(",") for line in corners.read_text("utf-8").splitlines())
+    names = [row[0] for row in rows]
+    if fault == "images shuffled":
+        other = dict(zip(names, np.random.default_rng(0).permutation(names).tolist(), strict=True))
+        seen = [[other[row[0]], *row[1:]] for row in seen]
+    elif fault == "joints half in radians":
+        factor = np.radians(1.0) if "deg" in head[1] else np.degrees(1.0)
+        turned = [[row[0], *(f"{float(q) * factor:.9g}" for q in row[1:])] for row in rows[6:]]
+        rows = [*rows[:6], *turned]
+    else:
+        last = [row for row in seen if row[0] == names[5]]
+        kept = [row for row in seen if row[0] in names[:6]]
+        seen = [*kept, *([name, *row[1:]] for name in names[6:] for row in last)]
+    for path, lines in ((poses, [head, *rows]), (corners, [top, *seen])):
+        path.write_text("".join(",".join(line) + "\n" for line in lines), "utf-8")
+    with pytest.raises(lc.InputError) as caught:
+        verified(result, folder)
+    assert caught.value.code == "mismatched-poses"
+    assert words in str(caught.value)

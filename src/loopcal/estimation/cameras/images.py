@@ -115,6 +115,15 @@ def _beside(one: Corners, scene: Scene, limit: float) -> int | None:
     return row if sizes[row] < limit and row != int(one.image[0]) else None
 
 
+def copied_images(corners: Corners) -> list[int]:
+    """The images whose corners have the same pixels as those of an earlier image."""
+    image, copies = corners.views.image, set[int]()
+    for v in range(len(image)):
+        if (other := _copied(corners, v)) is not None and other < image[v]:
+            copies.add(int(image[v]))
+    return sorted(copies)
+
+
 def _copied(corners: Corners, view: int) -> int | None:
     """Another image in which all corners of a view have the same pixels."""
     views = corners.views

@@ -13,7 +13,7 @@ import numpy as np
 from loopcal.arrays import Array
 from loopcal.errors import InputError, listed
 from loopcal.estimation.cameras.corners import Corners
-from loopcal.estimation.cameras.images import GROSS
+from loopcal.estimation.cameras.images import GROSS, copied_images
 from loopcal.estimation.cameras.mistakes import MIRRORED
 from loopcal.estimation.cameras.parts import in_parts
 from loopcal.estimation.cameras.start import (
@@ -22,6 +22,7 @@ from loopcal.estimation.cameras.start import (
     way_of_turning,
     with_stated_lenses,
 )
+from loopcal.estimation.faults.repairs import set_apart
 from loopcal.files.cameras.corner_table import CornerTable
 from loopcal.files.cameras.folder import Files, read_files
 from loopcal.mechanisms.cameras.board import Board
@@ -37,6 +38,9 @@ from loopcal.workflow.beginning.still_cameras import without_still
 USUAL_LENS = "brown5"
 _FEWEST = 3
 """Images that have a pose at least: fewer calibrate nothing."""
+# Chosen, not derived: degrees are 57 times radians, and poses differ by a few times.
+_IN_TURNS = 15.0
+"""Joints that are so many times as large as others may be in another unit."""
 CENTRAL = 0.45
 """A principal point is no nearer to the edge than this share of how far corners reach. Chosen:
 half would be the middle of an image that corners fill."""
@@ -187,20 +191,48 @@ def on_another_link(
         )
         remarks = (*best.begun.remarks, words)
         return replace(best, begun=replace(best.begun, remarks=remarks))
-    if made.share > NOTHING:
-        worst = max(made.shares, key=lambda camera: made.shares[camera])
-        of = f" of the camera {worst!r}" if len(made.shares) > 1 else ""
-        raise InputError(
-            f"the poses of the robot do not explain the images{of}: corners are "
-            f"{significant(made.project.begun.rms, 2)} px off",
-            code="mismatched-poses",
-            remedy="check that each row is the pose of the flange, and the order of the rows; if "
-            "they are joints, name the robot: --urdf or --dh"
-            if "x" in made.project.hand.readings
-            else "check the joints, their units and signs, the order of the rows, and which link "
-            "carries the camera or the board (--tip LINK)",
-        )
+    refuse_unexplained(made.project)
     return made
+
+
+def refuse_unexplained(project: ImagesProject) -> None:
+    """Raise InputError where poses of the robot explain nothing of what the images show, with the
+    cause where the files show one."""
+    made = FromImages(_made(project, ()), project)
+    if not made.share > NOTHING:
+        return
+    begun, read = project.begun, project.hand.readings
+    worst = max(made.shares, key=lambda camera: made.shares[camera])
+    of = f" of the camera {worst!r}" if len(made.shares) > 1 else ""
+    causes = [
+        "check that each row is the pose of the flange, the order of the rows, and that all images "
+        "have one size; if the rows are joints, name the robot: --urdf or --dh"
+        if "x" in read
+        else "check the joints, their units and signs, the order of the rows, that all images have "
+        "one size, and which link carries the camera or the board (--tip LINK)"
+    ]
+    poses = begun.corners.poses
+    if repeated := [poses[i] for i in copied_images(begun.corners)]:
+        causes = [f"take these images again, or leave them out: {listed(repeated, 5)}"]
+        of += f", and {len(repeated)} repeat the corners of another image to the last digit"
+    sizes = np.linalg.norm([*read.values()], axis=0)
+    for small, large in set_apart(sizes) if "x" not in read else ():
+        if np.median(sizes[large]) < _IN_TURNS * np.median(sizes[small]):
+            continue
+        rows = large if large.sum() <= small.sum() else small
+        names = [pose for pose, one in zip(project.hand.poses, rows, strict=True) if one]
+        causes.append(
+            f"and whether the joints of {len(names)} rows, which are much "
+            f"{'larger' if rows is large else 'smaller'} than the others, are in another unit "
+            f"({listed(names, 5)})"
+        )
+        break
+    raise InputError(
+        f"the poses of the robot do not explain the images{of}: corners are "
+        f"{significant(begun.rms, 2)} px off",
+        code="mismatched-poses",
+        remedy=", ".join(causes),
+    )
 
 
 def _made(project: ImagesProject, remarks: tuple[str, ...]) -> Begun:

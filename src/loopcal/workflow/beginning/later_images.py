@@ -22,7 +22,7 @@ from loopcal.mechanisms.cameras.board import Board
 from loopcal.mechanisms.instruments.camera import cameras_of
 from loopcal.mechanisms.mechanism import Mechanism
 from loopcal.mechanisms.parallel.free_body import BEGIN
-from loopcal.workflow.beginning.from_images import named, understood
+from loopcal.workflow.beginning.from_images import named, refuse_unexplained, understood
 from loopcal.workflow.beginning.images_hand import Hand, hand_of
 from loopcal.workflow.beginning.images_project import doubts, word
 from loopcal.workflow.beginning.still_cameras import without_still
@@ -55,6 +55,7 @@ def later_images(
     on_body = {one.name: one.on_body for one in cameras}
     project, _ = understood(files, hand, {camera: not on_body[eye] for camera, eye in eyes.items()})
     _refuse_another_format(project.begun.facts)
+    refuse_unexplained(project)
     for words in doubts(project):
         warnings.warn(words, stacklevel=2)
     data = project.dataset
