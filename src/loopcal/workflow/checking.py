@@ -33,7 +33,7 @@ from loopcal.workflow.readings import (
     first_of,
     later_readings,
     new_readings,
-    refuse_radians,
+    refuse_other_angles,
 )
 from loopcal.workflow.saved_result import read_result
 
@@ -90,7 +90,7 @@ def run_prediction(
         check_ending(out)
     read = read_result(result, mechanism=function)
     made = new_readings(readings, read.inputs, read.mechanism)
-    refuse_radians(made, read)
+    refuse_other_angles(made, read)
     done = predict(read.predictor, made)
     if out is not None:
         path = Path(out)

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from loopcal.errors import InputError
+from loopcal.errors import InputError, listed
+from loopcal.estimation.faults.repairs import set_apart
 from loopcal.estimation.result import FitResult
 from loopcal.files.cameras.folder import are_images
 from loopcal.files.project.project_data import (
@@ -26,7 +27,7 @@ from loopcal.measurements.tables import column_names
 from loopcal.mechanisms.frame import joint_rows
 from loopcal.mechanisms.mechanism import PIXELS, Mechanism
 from loopcal.mechanisms.parameters import matching
-from loopcal.units import to_si, unit
+from loopcal.units import from_si, to_si, unit
 
 Units = Mapping[str, str] | str | None
 """Of columns or globs; one for all that is an angle or all that is a length."""
@@ -165,24 +166,35 @@ def later_readings(result: Any, data: Any, units: Units, *, whole: bool) -> Any:
         return readings(data, mechanism, units)
     made = new_readings(data, getattr(result, "inputs", {}), mechanism, whole=whole)
     if not whole:  # else what was measured shows the unit
-        refuse_radians(made, result)
+        refuse_other_angles(made, result)
     return made
 
 
-def refuse_radians(made: Dataset, result: Any) -> None:
-    """Raise InputError for a file whose headers state no unit, and whose degrees are radians."""
+def refuse_other_angles(made: Dataset, result: Any) -> None:
+    """Raise InputError for a file whose headers state no unit, and whose degrees are radians, or
+    whose radians are degrees."""
     from loopcal.files.recognition.headers import heading
 
     source = made.source
-    bare = {
-        q: np.degrees(made[q])
-        for q in result.mechanism.joints
-        if source.stated.get(q) == "deg" and heading(source.columns.get(q, "[deg]")).unit is None
-    }
-    bare = {q: v for q, v in bare.items() if np.isfinite(v).any()}
-    largest = [float(np.nanmax(np.abs(v))) for v in bare.values()]
-    if sum(v > 0.0 for v in largest) >= _SEVERAL and max(largest) <= 2.0 * np.pi:
-        _refuse_doubtful(bare, dict.fromkeys(bare, "deg"), result, source.file or "a table")
+    for taken in ("deg", "rad"):
+        bare = {
+            q: from_si(made[q], taken)
+            for q in result.mechanism.joints
+            if source.stated.get(q) == taken
+            and heading(source.columns.get(q, "[deg]")).unit is None
+            and np.isfinite(made[q]).any()
+        }
+        largest = [float(np.nanmax(np.abs(v))) for v in bare.values()]
+        if sum(v > 0.0 for v in largest) < _SEVERAL:
+            continue
+        units, file = dict.fromkeys(bare, taken), source.file or "a table"
+        if taken == "rad" or max(largest) <= 2.0 * np.pi:
+            _refuse_doubtful(bare, units, result, file)
+        for _, large in set_apart(np.linalg.norm([*bare.values()], axis=0)):
+            if taken == "rad":  # a few poses near the zeros of all joints are small as degrees too
+                some = listed([made.poses[i] for i in np.flatnonzero(large)], 5)
+                rows = {q: v[large] for q, v in bare.items()}
+                _refuse_doubtful(rows, units, result, f"poses {some} of {file}")
 
 
 def _refuse_doubtful(

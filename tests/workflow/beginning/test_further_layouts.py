@@ -515,6 +515,27 @@ def test_predict_refuses_radians_without_a_unit_beside_degrees(tmp_path: Path) -
             run_prediction(tmp_path / "result", later, out=None)
 
 
+def test_predict_refuses_degrees_without_a_unit_beside_radians(tmp_path: Path) -> None:
+    """Also in some rows: points were metres off, with an sd of 100 mm."""
+    world = World("six", 8)
+    described(world, tmp_path)
+    names = [f"J{i}" for i in range(1, 7)]
+    first = {**of(names, world.read), **xyz("{} [mm]", world.points)}
+    file = tmp_path / written(tmp_path / "a.csv", first, digits=9)
+    lc.init(file, dh=tmp_path / "dh.csv", out=tmp_path / "cal")
+    project = tmp_path / "cal" / "project.toml"
+    run_calibration(project, Request(method="implicit-loop"), out=tmp_path / "result")
+    half = np.arange(len(world.q)) >= len(world.q) // 2
+    for degrees, words in ((half, "poses"), (half | True, "all.csv"), (half & False, "")):
+        read = np.where(degrees[:, None], np.degrees(world.read), world.read)
+        later = tmp_path / written(tmp_path / "all.csv", of(names, read), digits=9)
+        if not words:
+            assert len(run_prediction(tmp_path / "result", later, out=None).poses) == len(world.q)
+            continue
+        with refused("implausible-unit", words, "J1 [deg]"):
+            run_prediction(tmp_path / "result", later, out=None)
+
+
 def test_later_rows_of_stations_are_read_as_those_of_the_first_day(tmp_path: Path) -> None:
     """Their joints' columns state a unit, as those of the converted readings do."""
     world = World("six", 8)
