@@ -337,3 +337,19 @@ def test_a_repair_is_passed_over_only_where_what_it_leaves_alone_misses_too_much
     assert len(passed) > len(every) / 3
     for repair in passed[::15]:
         assert misfit(_thinned(repair.problem, 120)).share > file.limit
+
+
+@pytest.mark.parametrize("share", ["last half", "some"])
+def test_rows_whose_slides_are_in_another_unit_are_named(share: str) -> None:
+    given = setup("platform pose")
+    made = lc.simulate(given.truth, given.driven, noise=given.noise, seed=2)
+    read, count = dict(made.dataset.readings), len(made.dataset)
+    some = np.arange(count) >= count // 2
+    if share == "some":
+        some = np.random.default_rng(0).random(count) < 0.3
+    legs = [q for q in read if q.startswith("leg_")]
+    readings = read | {q: np.where(some, 1e3 * read[q], read[q]) for q in legs}
+    problem = started(given.nominal(2), lc.Dataset.from_arrays(readings), given.noise, "auto")
+    (fault,) = column_faults(problem, suspected=False)
+    assert fault.code == "unit"
+    assert f"in millimetres, taken as metres in {some.sum()} poses" in fault.words

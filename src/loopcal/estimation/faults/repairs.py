@@ -164,8 +164,8 @@ class _Maker:
     def mixed_units(self) -> Iterator[Repair]:
         """What is read in another unit in some of the rows, which stand apart."""
         x = self.problem.readings
-        kinds = [(group, "m", LENGTHS) for group in self.seen] + [(self.driven, "rad", ANGLES)]
-        for group, unit, ratios in kinds:
+        lengths = [(group, "m", LENGTHS) for group in (*self.seen, self.driven)]
+        for group, unit, ratios in (*lengths, (self.driven, "rad", ANGLES)):
             rows = [j for j in group if self.unit[j] == unit]
             sizes = np.linalg.norm(x[rows], axis=0)
             for small, large in set_apart(sizes):

@@ -371,7 +371,9 @@ def _hopeless(file: _File) -> tuple[ColumnFault, ...]:
         )
     causes = "another robot type, or joint readings of another file"
     quantities = problem.mechanism.tape.quantities
-    stuck = [repr(quantities[i]) for i in standing(problem.mechanism, problem.readings)]
+    sd = np.broadcast_to(problem.uncertainty.sd, problem.readings.shape)
+    still = standing(problem.mechanism, problem.readings)
+    stuck = [repr(quantities[i]) for i in still if np.isfinite(sd[i]).any()]
     if stuck:
         it_reads = "it reads" if len(stuck) == 1 else "they read"
         causes = (

@@ -260,28 +260,23 @@ def _rows_in_other_units(case: Case) -> Iterator[Explanation]:
 
 
 def _joint_rows_in_other_units(case: Case) -> Iterator[Explanation]:
-    """Rows whose joints turn by so much more than the others, or less, that they may be in another
-    unit of angle."""
-    for way in case.ways:
-        turning = {
-            n: q
-            for (n, q), kind in zip(way.joints.items(), way.kinds, strict=True)
-            if kind == "rad"
-        }
-        units = {of for of, kind in zip(way.units, way.kinds, strict=True) if kind == "rad"}
-        if len(units) != 1:
+    """Rows whose joints move by so much more than the others, or less, that they may be in another
+    unit."""
+    for way, (kind, others) in product(case.ways, (("rad", ANGLES), ("m", LENGTHS))):
+        alike = [i for i, one in enumerate(way.kinds) if one == kind]
+        if len(units := {way.units[i] for i in alike}) != 1:
             continue
-        columns = zip(way.layout.joints, way.kinds, strict=True)
-        names = names_of([field for field, kind in columns if kind == "rad"])
+        moving = dict([*way.joints.items()][i] for i in alike)
+        names = names_of([way.layout.joints[i] for i in alike])
         read_as, few = units.pop(), _few(len(way.bodies.origins))
-        size = np.linalg.norm(np.array(list(turning.values())), axis=0)
-        for (small, large), other in product(set_apart(size), ANGLES):
+        size = np.linalg.norm([*moving.values()], axis=0)
+        for (small, large), other in product(set_apart(size), others):
             factor = unit(other).factor / unit(read_as).factor
             if factor == 1.0:
                 continue
             rows = small if factor > 1.0 else large
-            turned = {n: q * np.where(rows, factor, 1.0) for n, q in turning.items()}
-            bodies = case.machine.bodies(way.joints | turned)
+            moved = {n: q * np.where(rows, factor, 1.0) for n, q in moving.items()}
+            bodies = case.machine.bodies(way.joints | moved)
             share = max(m.fitted(bodies, few, 2).share for m in way.seen)
             yield Explanation(
                 share,
