@@ -348,8 +348,8 @@ def test_rows_whose_slides_are_in_another_unit_are_named(share: str) -> None:
     if share == "some":
         some = np.random.default_rng(0).random(count) < 0.3
     legs = [q for q in read if q.startswith("leg_")]
-    readings = read | {q: np.where(some, 1e3 * read[q], read[q]) for q in legs}
+    readings = read | {q: np.where(some, 1e-3 * read[q], read[q]) for q in legs}
     problem = started(given.nominal(2), lc.Dataset.from_arrays(readings), given.noise, "auto")
     (fault,) = column_faults(problem, suspected=False)
     assert fault.code == "unit"
-    assert f"in millimetres, taken as metres in {some.sum()} poses" in fault.words
+    assert f"in metres, taken as millimetres in {some.sum()} poses" in fault.words
