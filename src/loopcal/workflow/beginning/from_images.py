@@ -205,11 +205,13 @@ def refuse_unexplained(project: ImagesProject) -> None:
     worst = max(made.shares, key=lambda camera: made.shares[camera])
     of = f" of the camera {worst!r}" if len(made.shares) > 1 else ""
     causes = [
-        "check that each row is the pose of the flange, the order of the rows, and that all images "
-        "have one size; if the rows are joints, name the robot: --urdf or --dh"
+        "check that each row is the pose of the flange, the order of the rows, that all images "
+        "have one size, and that camera and board stayed in place; if the rows are joints, name "
+        "the robot: --urdf or --dh"
         if "x" in read
         else "check the joints, their units and signs, the order of the rows, that all images have "
-        "one size, and which link carries the camera or the board (--tip LINK)"
+        "one size, that camera and board stayed in place, and which link carries the camera or the "
+        "board (--tip LINK)"
     ]
     poses = begun.corners.poses
     if repeated := [poses[i] for i in copied_images(begun.corners)]:
@@ -222,9 +224,8 @@ def refuse_unexplained(project: ImagesProject) -> None:
         rows = large if large.sum() <= small.sum() else small
         names = [pose for pose, one in zip(project.hand.poses, rows, strict=True) if one]
         causes.append(
-            f"and whether the joints of {len(names)} rows, which are much "
-            f"{'larger' if rows is large else 'smaller'} than the others, are in another unit "
-            f"({listed(names, 5)})"
+            f"and whether the joints of {len(names)} rows ({listed(names, 5)}), which are much "
+            f"{'larger' if rows is large else 'smaller'} than the others, are in another unit"
         )
         break
     raise InputError(
