@@ -765,7 +765,7 @@ def test_rows_whose_joints_are_in_another_unit_are_named(
     joints, points = arm
     rows = np.arange(len(points)) % 3 == 0 if each == 3 else np.arange(len(points)) >= 20
     mixed = np.where(rows[:, None], np.degrees(joints), joints)
-    with refused("wrong-unit", "are in degrees", "the others are in radians"):
+    with refused("wrong-unit", "are in radians", "are in degrees"):
         lc.init({**of(mixed, NAMES), **of(points, "xyz")}, dh=dh(tmp_path))
 
 

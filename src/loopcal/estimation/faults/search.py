@@ -74,6 +74,9 @@ UNREPAIRED = ("rows-shuffled", "wrong-machine")
 # Chosen, not derived: above the scatter of quantiles of some hundred points.
 SAME = 0.05
 """Two sets of points have the same shape if the quantiles of their distances differ by less."""
+# Chosen, not derived: the share of a run that may be outliers.
+FEW = 0.1
+"""Single poses are found among the others; of more than this share the file is at fault."""
 HELD = "held-point"
 """Code of an instrument to which a machine held one point."""
 MOST_READ, MOST_UNREAD = 1000, 200
@@ -215,10 +218,10 @@ class _File:
                     words = f"{name} reads the same value in every pose, although the machine moves"
                     unit = self.problem.mechanism.quantities[name]
                     faults.append(ColumnFault((name,), words, away, None, True, "constant", unit))
-            if not faults and len(rows := _not_read_again(computed, measured, NEAR * spread)):
-                words = not_read_again(
-                    names, [self.problem.poses[i] for i in rows], len(measured.T)
-                )
+            rows = _not_read_again(computed, measured, NEAR * spread)
+            if not faults and len(rows) > FEW * measured.shape[1]:
+                held = [self.problem.poses[i] for i in rows]
+                words = not_read_again(names, held, measured.shape[1])
                 faults.append(ColumnFault(tuple(names), words, spread, None, True, "constant", "m"))
             places = family.placement is not None
             if places and all(_held(self.problem, p) for p in (computed, measured)):
