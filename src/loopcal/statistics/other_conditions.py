@@ -54,7 +54,7 @@ def rounded(calibrated: Calibrated, data: Dataset) -> str:
                 coarse.setdefault((written, step), []).append(q)
     return " ".join(
         f"{enumerated(names)} {'is' if len(names) == 1 else 'are'} rounded to {step:g} {written}, "
-        f"more coarsely than in the calibration: an sd of {rounding_sd(step):.2g} {written} alone."
+        f"more coarsely than in the calibration: by an sd of {rounding_sd(step):.2g} {written}."
         for (written, step), names in coarse.items()
     )
 

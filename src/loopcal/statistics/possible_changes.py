@@ -44,10 +44,10 @@ _MOST = {
 """The largest change of a kind [SI]."""
 # Chosen, not derived: as between two days; a load bends a joint by 0.05 rad at a lever of a metre.
 _MOST_AT_ONCE = {
-    ("target", "m"): 1.0,
-    ("joint", "rad"): 0.5,
-    ("link", "rad"): 0.05,
-    ("link", "m"): 0.03,
+    ("target", "m"): _MOST["mounting"],
+    ("joint", "rad"): _MOST["zero"],
+    ("link", "rad"): _MOST["angle"],
+    ("link", "m"): _MOST["length"],
     ("load", "rad/m"): 0.05,
     ("expansion", "1"): _MOST["expansion"],
 }

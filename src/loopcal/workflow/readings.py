@@ -190,11 +190,12 @@ def refuse_other_angles(made: Dataset, result: Any) -> None:
         units, file = dict.fromkeys(bare, taken), source.file or "a table"
         if taken == "rad" or max(largest) <= 2.0 * np.pi:
             _refuse_doubtful(bare, units, result, file)
-        for _, large in set_apart(np.linalg.norm([*bare.values()], axis=0)):
-            if taken == "rad":  # a few poses near the zeros of all joints are small as degrees too
-                some = listed([made.poses[i] for i in np.flatnonzero(large)], 5)
-                rows = {q: v[large] for q, v in bare.items()}
-                _refuse_doubtful(rows, units, result, f"poses {some} of {file}")
+        # A few poses in degrees may be near the zeros of all joints, small as radians are.
+        sizes = np.linalg.norm([*bare.values()], axis=0)
+        for _, large in set_apart(sizes) if taken == "rad" else ():
+            some = listed([made.poses[i] for i in np.flatnonzero(large)], 5)
+            rows = {q: v[large] for q, v in bare.items()}
+            _refuse_doubtful(rows, units, result, f"poses {some} of {file}")
 
 
 def _refuse_doubtful(

@@ -218,7 +218,7 @@ class _File:
                     words = f"{name} reads the same value in every pose, although the machine moves"
                     unit = self.problem.mechanism.quantities[name]
                     faults.append(ColumnFault((name,), words, away, None, True, "constant", unit))
-            rows = _not_read_again(computed, measured, NEAR * spread)
+            rows = repeating(computed, measured, NEAR * spread)
             if not faults and len(rows) > FEW * measured.shape[1]:
                 held = [self.problem.poses[i] for i in rows]
                 words = not_read_again(names, held, measured.shape[1])
@@ -234,7 +234,7 @@ class _File:
         return tuple(faults)
 
 
-def _not_read_again(computed: Array, measured: Array, least: float) -> NDArray[np.intp]:
+def repeating(computed: Array, measured: Array, least: float) -> NDArray[np.intp]:
     """The poses whose points (c, N) repeat those before, although the machine moved by more."""
     repeated = (np.diff(measured, axis=1) == 0.0).all(axis=0)
     moved = np.linalg.norm(np.diff(computed, axis=1), axis=0) > least

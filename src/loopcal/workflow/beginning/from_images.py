@@ -39,7 +39,7 @@ USUAL_LENS = "brown5"
 _FEWEST = 3
 """Images that have a pose at least: fewer calibrate nothing."""
 # Chosen, not derived: degrees are 57 times radians, and poses differ by a few times.
-_IN_TURNS = 15.0
+_MUCH_LARGER = 15.0
 """Joints that are so many times as large as others may be in another unit."""
 CENTRAL = 0.45
 """A principal point is no nearer to the edge than this share of how far corners reach. Chosen:
@@ -61,28 +61,9 @@ class FromImages:
         return tuple(p for f in gross for p in f.images)
 
     @property
-    def shares(self) -> dict[str, float]:
-        """Of each camera, what poses of the robot leave of how far points move between images;
-        empty without a robot."""
-        begun = self.project.begun
-        if begun.T_base_flange is None:
-            return {}
-        c = begun.corners
-        of_point = np.unique([c.camera, c.board, c.point], axis=1, return_inverse=True)[1].ravel()
-        count = np.bincount(of_point)
-        away = [x - (np.bincount(of_point, x) / count)[of_point] for x in c.uv.T]
-        left, moved = np.hypot(*begun.residuals.T), np.hypot(*away)
-        several = count[of_point] > 1  # a point that is seen once does not move
-        return {
-            name: float(np.median(left[mine])) / max(float(np.median(moved[mine])), 1e-9)
-            for k, name in enumerate(c.cameras)
-            if (mine := several & (c.camera == k)).any()
-        }
-
-    @property
     def share(self) -> float:
-        """That of the camera of which most is left; 0 without a robot."""
-        return max(self.shares.values(), default=0.0)
+        """What is left (`shares_of`) of the camera of which most is; 0 without a robot."""
+        return max(shares_of(self.project.begun).values(), default=0.0)
 
     def clear_of(self, out: LeftOut) -> Begun:
         """What was begun without what is left out, and without doubts of images that fit."""
@@ -104,6 +85,24 @@ class FromImages:
         aside = project.begun_at(rest)
         made = _made(left, (*remarks, out.words))
         return replace(made, beside={**made.beside, WRONG: aside.corners()})
+
+
+def shares_of(begun: CameraStart) -> dict[str, float]:
+    """Of each camera, what poses of the robot leave of how far points move between images; empty
+    without a robot."""
+    if begun.T_base_flange is None:
+        return {}
+    c = begun.corners
+    of_point = np.unique([c.camera, c.board, c.point], axis=1, return_inverse=True)[1].ravel()
+    count = np.bincount(of_point)
+    away = [x - (np.bincount(of_point, x) / count)[of_point] for x in c.uv.T]
+    left, moved = np.hypot(*begun.residuals.T), np.hypot(*away)
+    several = count[of_point] > 1  # a point that is seen once does not move
+    return {
+        name: float(np.median(left[mine])) / max(float(np.median(moved[mine])), 1e-9)
+        for k, name in enumerate(c.cameras)
+        if (mine := several & (c.camera == k)).any()
+    }
 
 
 def from_images(
@@ -198,12 +197,12 @@ def on_another_link(
 def refuse_unexplained(project: ImagesProject) -> None:
     """Raise InputError where poses of the robot explain nothing of what the images show, with the
     cause where the files show one."""
-    made = FromImages(_made(project, ()), project)
-    if not made.share > NOTHING:
-        return
     begun, read = project.begun, project.hand.readings
-    worst = max(made.shares, key=lambda camera: made.shares[camera])
-    of = f" of the camera {worst!r}" if len(made.shares) > 1 else ""
+    shares = shares_of(begun)
+    worst = max(shares, key=shares.__getitem__, default="")
+    if not shares.get(worst, 0.0) > NOTHING:
+        return
+    of = f" of the camera {worst!r}" if len(shares) > 1 else ""
     causes = [
         "check that each row is the pose of the flange, the order of the rows, that all images "
         "have one size, and that camera and board stayed in place; if the rows are joints, name "
@@ -219,7 +218,7 @@ def refuse_unexplained(project: ImagesProject) -> None:
         of += f", and {len(repeated)} repeat the corners of another image to the last digit"
     sizes = np.linalg.norm([*read.values()], axis=0)
     for small, large in set_apart(sizes) if "x" not in read else ():
-        if np.median(sizes[large]) < _IN_TURNS * np.median(sizes[small]):
+        if np.median(sizes[large]) < _MUCH_LARGER * np.median(sizes[small]):
             continue
         rows = large if large.sum() <= small.sum() else small
         names = [pose for pose, one in zip(project.hand.poses, rows, strict=True) if one]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from loopcal.arrays import Array
 from loopcal.errors import InputError
-from loopcal.estimation.faults.search import not_read_again
+from loopcal.estimation.faults.search import not_read_again, repeating
 from loopcal.estimation.mounted import Bodies, exchanged_targets, see_points, two_targets
 from loopcal.estimation.problem.alignment import align
 from loopcal.files.recognition.fields import Field, names_of
@@ -52,9 +52,7 @@ def _held(way: Understood, poses: Sequence[str], fits: bool) -> InputError | Non
         points = meaning.position
         if points.ndim < 2 or len(points) < 2:
             continue
-        stays = (np.diff(points, axis=0) == 0.0).all(axis=1)
-        moves = np.linalg.norm(np.diff(way.bodies.origins, axis=0), axis=1) > ONE_POSE
-        some = np.flatnonzero(stays & moves) + 1
+        some = repeating(way.bodies.origins.T, points.T, ONE_POSE)
         most = _MOST_HELD * len(points) if fits else len(points) - 2  # at least two points differ
         if 0 < len(some) <= most and not _about_a_point(way.bodies, some):
             rows |= {*some.tolist()}
