@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 import pytest
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
@@ -534,6 +535,31 @@ def test_predict_refuses_degrees_without_a_unit_beside_radians(tmp_path: Path) -
             continue
         with refused("implausible-unit", words, "J1 [deg]"):
             run_prediction(tmp_path / "result", later, out=None)
+
+
+@pytest.mark.parametrize("kind", ["csv", "xlsx"])
+def test_a_later_file_may_be_of_another_kind(tmp_path: Path, kind: str) -> None:
+    """The sheet of the first day's workbook was asked of a text, its delimiter of a workbook."""
+    world = World("six", 8)
+    described(world, tmp_path)
+    columns = {**joints(world), **xyz("{} [mm]", world.points)}
+    files = {"csv": tmp_path / written(tmp_path / "a.csv", columns, digits=9)}
+    files["xlsx"] = tmp_path / "a.xlsx"
+    pl.DataFrame(columns).write_excel(files["xlsx"], worksheet="Day 1")
+    first = files["xlsx" if kind == "csv" else "csv"]
+    sheet = "Day 1" if kind == "csv" else None
+    lc.init(first, sheet=sheet, dh=tmp_path / "dh.csv", out=tmp_path / "cal")
+    project = tmp_path / "cal" / "project.toml"
+    text = project.read_text("utf-8")
+    if kind == "xlsx":
+        project.write_text(text.replace("[data]\n", '[data]\ndelimiter = ","\n'), "utf-8")
+    else:
+        assert 'sheet = "Day 1"' in text
+    made = lc.read_project(project)
+    for whole in (True, False):
+        read = read_new_readings(files[kind], made.inputs, made.mechanism, whole=whole)
+        for i, name in enumerate(made.mechanism.joints):
+            np.testing.assert_allclose(read[name], world.read[:, i], atol=1e-6)
 
 
 def test_later_rows_of_stations_are_read_as_those_of_the_first_day(tmp_path: Path) -> None:

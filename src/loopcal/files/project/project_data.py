@@ -26,6 +26,7 @@ from loopcal.files.project.noise_table import CovarianceColumns, noises
 from loopcal.files.project.parts import believed, of_another_day, one_below_another, read_part
 from loopcal.files.project.project_file import Project
 from loopcal.files.tables.readers import Column, column_labels, read_dataset, read_once
+from loopcal.files.tables.registry import reader_of
 from loopcal.files.toml.place import Place
 from loopcal.measurements.checks import DataWarning, check_dataset, refuse_implausible
 from loopcal.measurements.dataset import Dataset
@@ -296,6 +297,9 @@ def read_new_readings(
             code="conflicting-keys",
             remedy="name one file with all columns of the project",
         )
+    # A later file may be of another kind, which takes other options: text has no sheets.
+    without: dict[str, Any] = dict.fromkeys({*spec.keywords} - {*reader_of(paths[0]).options})
+    spec = replace(spec, **without)
     source = read_once(paths[0], **spec.keywords)
     labels = column_labels(source)
     parts = [spec.columns_of(part, labels, mechanism) for part in spec.parts]
